@@ -1,0 +1,166 @@
+"""What both cranes share: the commands, the trolley, the energy ledger, the outputs."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from math import atan2, ceil, isfinite
+
+import numpy as np
+
+from .chain import Array, DiscreteChain, discretise, interpolation
+from .errors import BadValue
+from .parameters import Crane, Initial, Numerics, check, check_number
+from .trolley import Trolley
+
+MATERIAL_POINTS = 10  # chain.x[i], chain.y[i]
+MAX_INTERNAL_STEPS = 10_000_000
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Energy that went in and out since the start, J."""
+
+    start: float = 0.0
+    trolley: float = 0.0
+    payload: float = 0.0
+    dissipated: float = 0.0
+
+    def booked(self, trolley: float, payload: float, dissipated: float) -> Ledger:
+        """The ledger after one more step."""
+        return Ledger(
+            self.start,
+            self.trolley + trolley,
+            self.payload + payload,
+            self.dissipated + dissipated,
+        )
+
+    @property
+    def expected(self) -> float:
+        """Mechanical energy that must be there now."""
+        return self.start + self.trolley + self.payload - self.dissipated
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Cost of the last communication step."""
+
+    steps: int = 0
+    iterations: int = 0
+
+
+@dataclass(frozen=True)
+class Posture:
+    """What is seen of a crane, relative to its trolley."""
+
+    points: Array  # m, (11, 2): ten material points from the top, then the middle of the chain
+    payload: Array  # m, (2,)
+    payload_w: Array  # m/s, (2,)
+    top_angle: float  # rad
+    trolley_fx: float  # N
+    tension_top: float  # N
+    tension_min: float  # N
+
+
+class CraneModel(ABC):
+    """A crane that is driven by commands that are held over each communication step."""
+
+    def __init__(
+        self,
+        crane: Crane | None = None,
+        initial: Initial | None = None,
+        numerics: Numerics | None = None,
+    ) -> None:
+        self.crane = crane or Crane()
+        self.initial = initial or Initial()
+        self.numerics = numerics or Numerics()
+        check(self.crane, self.initial, self.numerics)
+        self.chain: DiscreteChain = discretise(self.crane, self.numerics.elements)
+        self.time = 0.0
+        self.trolley = Trolley(v=self.initial.speed)
+        self.effort = Effort()
+        fractions = np.append(np.arange(1, MATERIAL_POINTS + 1) / MATERIAL_POINTS, 0.5)
+        self._interpolation = interpolation(self.numerics.elements, fractions)
+
+    def step(
+        self, h: float, v_cmd: float = 0.0, a_cmd: float = 0.0, payload_fx: float = 0.0
+    ) -> None:
+        """Advance by ``h`` seconds under held commands: m/s, m/s2, and N on the payload.
+
+        A v_cmd that differs from the trolley's velocity is a jump: an impulse at the step's start.
+        Raises BadValue for a value that is not allowed, NotConverged or EnergyBalanceBroken where
+        the motion cannot be had; the crane is then as it was before the call.
+        """
+        check_number("trolley.v_cmd", v_cmd)
+        check_number("trolley.a_cmd", a_cmd)
+        check_number("payload.fx", payload_fx)
+        check_number("step size", h, "a finite number above 0, s", test=lambda v: v > 0)
+        if h > MAX_INTERNAL_STEPS * self.numerics.max_step:
+            allowed = f"at most {MAX_INTERNAL_STEPS} internal steps of solver.max_step"
+            raise BadValue("step size", h, allowed)
+        after = self.trolley.after(h, v_cmd, a_cmd)
+        if not (isfinite(after.x) and isfinite(after.v)):
+            raise BadValue(
+                "trolley.v_cmd", v_cmd, "a command that keeps the trolley's motion finite"
+            )
+        start = replace(self.trolley, v=self.trolley.commanded(v_cmd))
+        self._advance(h, start, a_cmd, payload_fx)
+        self.trolley = after
+        self.time += h
+
+    def internal_steps(self, h: float) -> int:
+        """Number of equal internal steps for a communication step of ``h`` seconds.
+
+        A ratio that is whole but for round-off, 13 ms over 1 ms, counts as whole.
+        """
+        return max(1, ceil(h / self.numerics.max_step * (1.0 - 1e-9)))
+
+    @abstractmethod
+    def _advance(self, h: float, start: Trolley, a_cmd: float, payload_fx: float) -> None:
+        """Advance the chain by ``h``; all or nothing. ``start``: the trolley after its jump."""
+
+    @property
+    @abstractmethod
+    def energy(self) -> float:
+        """Mechanical energy above the rest position, J."""
+
+    @property
+    @abstractmethod
+    def ledger(self) -> Ledger:
+        """The energy ledger."""
+
+    @abstractmethod
+    def _posture(self) -> Posture:
+        """Positions and forces, relative to the trolley."""
+
+    def outputs(self) -> dict[str, float]:
+        """All outputs by their FMU names, in SI units, in the interface's order."""
+        posture, trolley, ledger = self._posture(), self.trolley, self.ledger
+        x_rel, y_rel = float(posture.payload[0]), float(posture.payload[1])
+        energy = self.energy
+        values = {
+            "trolley.x": trolley.x,
+            "trolley.v": trolley.v,
+            "trolley.fx": posture.trolley_fx,
+            "payload.x": trolley.x + x_rel,
+            "payload.y": y_rel,
+            "payload.vx": trolley.v + float(posture.payload_w[0]),
+            "payload.vy": float(posture.payload_w[1]),
+            "payload.x_rel": x_rel,
+            "payload.sway_angle": atan2(x_rel, -y_rel),
+            "chain.mid_x_rel": float(posture.points[-1, 0]),
+            "chain.top_angle": posture.top_angle,
+            "chain.tension_top": posture.tension_top,
+            "chain.tension_min": posture.tension_min,
+        }
+        points = posture.points[:MATERIAL_POINTS].tolist()
+        for i, (x, _) in enumerate(points, start=1):
+            values[f"chain.x[{i}]"] = trolley.x + x
+        for i, (_, y) in enumerate(points, start=1):
+            values[f"chain.y[{i}]"] = y
+        values["energy.total"] = energy
+        values["energy.dissipated"] = ledger.dissipated
+        values["energy.error"] = energy - ledger.expected
+        values["solver.steps"] = self.effort.steps
+        values["solver.iterations"] = self.effort.iterations
+        return values

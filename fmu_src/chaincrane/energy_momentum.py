@@ -1,0 +1,158 @@
+"""The default scheme: an energy-momentum conserving midpoint rule for truss elements.
+
+Simo & Tarnow, The discrete energy-momentum method, ZAMP 43 (1992) 757-792, with the force as a
+discrete gradient of the elastic energy: Gonzalez, Time integration and discrete Hamiltonian
+systems, J. Nonlinear Sci. 6 (1996) 449-467. Energy changes in a step by the work of the trolley
+and the payload's force less the damping, whatever the step. A little viscosity along the
+elements, which shrinks with the step, takes out the axial vibrations that a step cannot resolve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import banded
+from .chain import (
+    Array,
+    DiscreteChain,
+    along_elements,
+    assemble_force,
+    kinetic_energy,
+    mass_times,
+)
+from .errors import NotConverged
+from .scheme import Load, Motion, StepResult
+
+AXIAL_DISSIPATION = (
+    0.05  # chi: the scheme's axial time constant is chi h; damps (1/2-chi)/(1/2+chi)
+)
+MAX_ITERATIONS = 12
+DISPLACEMENT_TOLERANCE = 1e-9  # of the chain's length; Newton's next error is its square
+
+
+@dataclass(frozen=True)
+class ElementForce:
+    """Force of each element on its lower node over a step, and how it depends on the end."""
+
+    pull: Array  # N, (n, 2)
+    tangent: Array  # N/m, (n, 2, 2), derivative by the element's vector at the step's end
+    tension: Array  # N, (n,)
+
+
+def element_force(EA: float, L0: float, viscosity: float, d0: Array, d1: Array) -> ElementForce:
+    """Discrete gradient of an element's elastic energy, with viscosity along the element.
+
+    pull = k (d0 + d1)/2,  k = [EA/L0 (l0 + l1 - 2 L0) + 2 eta (l1 - l0)]/(l0 + l1), eta in N/m,
+    so that pull . (d1 - d0) = EA/(2 L0) [(l1 - L0)^2 - (l0 - L0)^2] + eta (l1 - l0)^2 exactly.
+    ``d0``, ``d1``: element vectors at the step's start and end, (n, 2), m.
+    """
+    l0 = np.hypot(d0[:, 0], d0[:, 1])
+    l1 = np.hypot(d1[:, 0], d1[:, 1])
+    total = l0 + l1
+    axial = EA / L0
+    tension = axial * 0.5 * ((l0 - L0) + (l1 - L0)) + viscosity * (l1 - l0)
+    k = 2.0 * tension / total
+    middle = 0.5 * (d0 + d1)
+    slope = (axial + 2.0 * viscosity - k) / (total * l1)
+    tangent = (slope[:, None] * middle)[:, :, None] * d1[:, None, :]
+    tangent[:, 0, 0] += 0.5 * k
+    tangent[:, 1, 1] += 0.5 * k
+    return ElementForce(k[:, None] * middle, tangent, tension)
+
+
+def rotate_elements(d: Array, w: Array, h: float) -> Array:
+    """Predict element vectors (n, 2) after ``h``: each rotates at its rate, its length kept.
+
+    ``w`` are relative nodal velocities (n, 2). A straight-line guess would stretch a steel element
+    by its rotation squared, which is a force beyond all others; a rotation does not.
+    """
+    dw = along_elements(w)
+    angle = h * (d[:, 0] * dw[:, 1] - d[:, 1] * dw[:, 0]) / (d[:, 0] ** 2 + d[:, 1] ** 2)
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.column_stack((cos * d[:, 0] - sin * d[:, 1], sin * d[:, 0] + cos * d[:, 1]))
+
+
+class EnergyMomentum:
+    """Steps a chain with the energy-momentum scheme."""
+
+    def __init__(self, chain: DiscreteChain) -> None:
+        self.chain = chain
+        self._mass = banded.mass_bands(chain)
+
+    def start(self, motion: Motion, load: Load) -> Motion:
+        """The scheme keeps no accelerations: nothing to prepare."""
+        return motion
+
+    def step(self, motion: Motion, load: Load, h: float) -> StepResult:
+        """One step of ``h`` seconds from ``motion`` under a constant ``load``.
+
+        Solves, for the positions r1 at the step's end, with w1 = 2 (r1 - r0)/h - w0,
+
+            M (w1 - w0)/h + alpha M (w0 + w1)/2 + F(r0, r1) = f - b (a + alpha v)
+
+        where b are the mass matrix' row sums, a and v the trolley's acceleration and mean velocity,
+        alpha the air's damping. Raises NotConverged.
+        """
+        chain, crane = self.chain, self.chain.crane
+        air = crane.damping.air
+        EA, L0 = crane.chain.EA, chain.L0
+        viscosity = EA / L0 * (crane.damping.chain / h + AXIAL_DISSIPATION)
+        trolley_v = load.trolley_v + 0.5 * h * load.trolley_a
+        steady = chain.weight.copy()
+        steady[:, 0] -= chain.row_mass * (load.trolley_a + air * trolley_v)
+        steady[-1, 0] += load.payload_fx
+        inertia = 2.0 / h**2 + air / h
+        inertia_bands = inertia * self._mass
+
+        d0 = along_elements(motion.r)
+        r1 = np.cumsum(rotate_elements(d0, motion.w, h), axis=0)
+        for iteration in range(1, MAX_ITERATIONS + 1):
+            force = element_force(EA, L0, viscosity, d0, along_elements(r1))
+            change = inertia * (r1 - motion.r) - 2.0 / h * motion.w
+            residual = steady - mass_times(chain, change) - assemble_force(force.pull)
+            correction = banded.solve(banded.add_tangents(inertia_bands, force.tangent), residual)
+            if correction is None:
+                break
+            r1 = r1 + correction
+            size = float(np.abs(correction).max())
+            if size <= DISPLACEMENT_TOLERANCE * crane.chain.length:
+                return self._result(motion, load, h, r1, iteration)
+            if not size < crane.chain.length:
+                break
+        raise NotConverged(
+            f"the iteration for dynamic equilibrium did not converge in a step of {h:.3g} s"
+        )
+
+    def _result(self, motion: Motion, load: Load, h: float, r1: Array, n: int) -> StepResult:
+        """Velocities and the step's energy terms, once the positions are known."""
+        chain, crane = self.chain, self.chain.crane
+        w1 = 2.0 / h * (r1 - motion.r) - motion.w
+        trolley_v = load.trolley_v + 0.5 * h * load.trolley_a
+        trolley_dx = h * trolley_v
+        viscosity = crane.chain.EA / chain.L0 * (crane.damping.chain / h + AXIAL_DISSIPATION)
+        d0, d1 = along_elements(motion.r), along_elements(r1)
+        force = element_force(crane.chain.EA, chain.L0, viscosity, d0, d1)
+        air = crane.damping.air
+        _, row = chain.node0_mass
+        mean_w = (r1 - motion.r) / h
+        node1_a = (w1[0, 0] - motion.w[0, 0]) / h + air * mean_w[0, 0]
+        trolley_fx = (
+            row * (load.trolley_a + air * trolley_v)
+            + chain.mass_coupling * node1_a
+            - force.pull[0, 0]
+        )
+        stretch = np.hypot(d1[:, 0], d1[:, 1]) - np.hypot(d0[:, 0], d0[:, 1])
+        dissipated = viscosity * float(stretch @ stretch)
+        if air:
+            dissipated += 2.0 * air * h * kinetic_energy(chain, mean_w, trolley_v)
+        return StepResult(
+            motion=Motion(r1, w1, None),
+            trolley_fx=float(trolley_fx),
+            tension=force.tension,
+            work_trolley=float(trolley_fx) * trolley_dx,
+            work_payload=load.payload_fx * (float(r1[-1, 0] - motion.r[-1, 0]) + trolley_dx),
+            dissipated=dissipated,
+            iterations=n,
+        )

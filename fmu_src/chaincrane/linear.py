@@ -1,0 +1,298 @@
+"""The linear crane: a taut string with a point mass, the paper's section 2.2.
+
+Horizontal displacement only, relative to the trolley: K 1 = 0, so the rigid translation drops out
+of the stiffness and the trolley acts through its acceleration. Tensions are those of the hanging
+equilibrium. With commands held over a step the motion is known in closed form; there is no time
+step to choose. Axial damping (damping.chain) has no place here: the string keeps its length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2
+
+import numpy as np
+
+from .chain import (
+    Array,
+    DiscreteChain,
+    discretise,
+    hanging_tension,
+    interpolation,
+    mass_times,
+)
+from .crane import MATERIAL_POINTS, CraneModel, Effort, Ledger, Posture
+from .parameters import Crane, Initial, Numerics
+from .trolley import Trolley
+
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+def element_stiffness(tension: float, L0: float) -> Array:
+    """Stiffness of a taut string element, (30): N_e/L0 [1 -1; -1 1], N/m (signs lost in print)."""
+    return tension / L0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+
+def stiffness_matrix(chain: DiscreteChain) -> Array:
+    """K of (31) for the free nodes, N/m, shape (n, n)."""
+    tension = hanging_tension(chain.crane, chain.elements)
+    K = np.zeros((chain.elements + 1, chain.elements + 1))
+    for e in range(chain.elements):
+        K[e : e + 2, e : e + 2] += element_stiffness(float(tension[e]), chain.L0)
+    return K[1:, 1:]
+
+
+def mass_matrix(chain: DiscreteChain) -> Array:
+    """M of (31) for the free nodes, kg, shape (n, n), the payload at the last one, (30)."""
+    coupling = np.full(chain.elements - 1, chain.mass_coupling)
+    return np.diag(chain.mass_diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Undamped modes of the string: K phi = omega^2 M phi, phi^T M phi = 1."""
+
+    omega: Array  # rad/s, (n,), ascending
+    shapes: Array  # 1/sqrt(kg), (n, n), a column a mode
+
+
+def modes(chain: DiscreteChain) -> Modes:
+    """Frequencies and shapes of the string with its payload; O(n^3), once."""
+    lower = np.linalg.cholesky(mass_matrix(chain))
+    inner = np.linalg.solve(lower, np.linalg.solve(lower, stiffness_matrix(chain)).T)
+    squares, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
+    return Modes(np.sqrt(squares), np.linalg.solve(lower.T, vectors))
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """xdot = A x + B u, y = C x + D u, (32), with its names; SI units.
+
+    States: relative displacements q1..qn and their rates. Inputs: trolley.a_cmd and payload.fx.
+    Outputs: payload.x_rel, chain.mid_x_rel, chain.top_angle (as a slope). The air's damping acts on
+    the velocity relative to the trolley here: a state space with its input has no trolley velocity.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def state_space(crane: Crane, elements: int) -> StateSpace:
+    """The paper's state space (32) for control design; pass A, B, C, D on to python-control."""
+    chain = discretise(crane, elements)
+    n = elements
+    M, K = mass_matrix(chain), stiffness_matrix(chain)
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, n:] = np.eye(n)
+    A[n:, :n] = -np.linalg.solve(M, K)
+    A[n:, n:] = -crane.damping.air * np.eye(n)
+    load = np.zeros((n, 2))
+    load[:, 0] = -chain.row_mass
+    load[-1, 1] = 1.0
+    B = np.vstack((np.zeros((n, 2)), np.linalg.solve(M, load)))
+    C = np.zeros((3, 2 * n))
+    C[0, n - 1] = 1.0
+    C[1, :n] = interpolation(n, np.array([0.5]))[0]
+    C[2, 0] = 1.0 / chain.L0
+    return StateSpace(
+        A,
+        B,
+        C,
+        np.zeros((3, 2)),
+        tuple(f"q[{i}]" for i in range(1, n + 1)) + tuple(f"qdot[{i}]" for i in range(1, n + 1)),
+        ("trolley.a_cmd", "payload.fx"),
+        ("payload.x_rel", "chain.mid_x_rel", "chain.top_angle"),
+    )
+
+
+@dataclass(frozen=True)
+class ModalMotion:
+    """Modal coordinates and rates: q = shapes eta."""
+
+    eta: Array  # m sqrt(kg), (n,)
+    rate: Array  # m sqrt(kg)/s, (n,)
+
+
+def free_response(omega: Array, air: float, t: float) -> tuple[Array, Array]:
+    """Response of each mode after ``t`` s to a unit rate at 0, and the derivative of it.
+
+    s(t) = exp(-alpha t/2) sinh(kappa t)/kappa, kappa = sqrt(alpha^2/4 - omega^2): an oscillation
+    where kappa is imaginary, a creep where the air's damping is more than critical.
+    """
+    kappa = np.sqrt(0.25 * air * air - omega * omega + 0j)
+    slow, fast = np.exp((kappa - 0.5 * air) * t), np.exp((-kappa - 0.5 * air) * t)
+    near = np.abs(kappa * t) < 1e-5  # critical damping: the quotient's limit
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = np.where(near, t * np.exp(-0.5 * air * t), (slow - fast) / (2.0 * kappa))
+    s = s.real
+    return s, (0.5 * (slow + fast)).real - 0.5 * air * s
+
+
+class LinearCrane(CraneModel):
+    """The paper's linear crane, any number of elements, stepped exactly."""
+
+    def __init__(
+        self,
+        crane: Crane | None = None,
+        initial: Initial | None = None,
+        numerics: Numerics | None = None,
+    ) -> None:
+        super().__init__(crane, initial, numerics)
+        chain = self.chain
+        self.modes = modes(chain)
+        self._tension = hanging_tension(self.crane, chain.elements)
+        self._push = self.modes.shapes.T @ chain.row_mass  # modal load of a trolley acceleration
+        self._seen = np.vstack((self._interpolation, np.eye(1, chain.elements)))
+        self._seen = self._seen @ self.modes.shapes  # 11 material points, node 1
+        depth = chain.L0 * np.arange(1, chain.elements + 1)
+        straight = mass_times(chain, np.outer(depth, [np.sin(self.initial.sway_angle), 0.0]))[:, 0]
+        eta = self.modes.shapes.T @ straight
+        self._motion = ModalMotion(eta, np.zeros_like(eta))
+        self._rate_of_rate = np.zeros_like(eta)
+        self._trolley_fx = self._drive_force(0.0, 0.0)
+        self._ledger = Ledger(start=self._energy(self._motion, self.trolley.v))
+
+    @property
+    def energy(self) -> float:
+        """Mechanical energy above the rest position, J."""
+        return self._energy(self._motion, self.trolley.v)
+
+    @property
+    def ledger(self) -> Ledger:
+        """The energy ledger."""
+        return self._ledger
+
+    def _energy(self, motion: ModalMotion, trolley_v: float) -> float:
+        """1/2 v^T M v + 1/2 q^T K q, J, with absolute velocities v, in modal coordinates."""
+        relative = 0.5 * float(motion.rate @ motion.rate)
+        elastic = 0.5 * float(np.sum((self.modes.omega * motion.eta) ** 2))
+        return relative + elastic + self._carried(motion, trolley_v)
+
+    def _carried(self, motion: ModalMotion, trolley_v: float) -> float:
+        """Kinetic energy, J, that the trolley's velocity adds to the relative motion's."""
+        total = self.crane.chain.mass + self.crane.payload.mass
+        return trolley_v * float(self._push @ motion.rate) + 0.5 * total * trolley_v**2
+
+    def _jump(self, motion: ModalMotion, dv: float) -> ModalMotion:
+        """The trolley's velocity jumps by ``dv`` m/s: an impulse -b dv on the free nodes."""
+        return ModalMotion(motion.eta, motion.rate - self._push * dv)
+
+    def _forcing(self, v: float, a: float, payload_fx: float) -> tuple[Array, Array]:
+        """Modal load p0 + p1 t of a trolley at v + a t in air, and of the payload's force."""
+        air = self.crane.damping.air
+        p0 = -self._push * (a + air * v) + self.modes.shapes[-1] * payload_fx
+        return p0, -self._push * (air * a)
+
+    def _propagate(
+        self, motion: ModalMotion, t: float, v: float, a: float, payload_fx: float
+    ) -> ModalMotion:
+        """Exact motion after ``t`` s: the matrix exponential of (32), a 2x2 block for each mode.
+
+        eta'' + alpha eta' + omega^2 eta = p0 + p1 t has the particular solution c0 + c1 t.
+        """
+        air, squares = self.crane.damping.air, self.modes.omega**2
+        p0, p1 = self._forcing(v, a, payload_fx)
+        c1 = p1 / squares
+        c0 = (p0 - air * c1) / squares
+        s, s_dot = free_response(self.modes.omega, air, t)
+        eta, rate = motion.eta - c0, motion.rate - c1
+        return ModalMotion(
+            (s_dot + air * s) * eta + s * rate + c0 + c1 * t,
+            s_dot * rate - squares * s * eta + c1,
+        )
+
+    def _advance(self, h: float, start: Trolley, a_cmd: float, payload_fx: float) -> None:
+        before = self._motion
+        dv = start.v - self.trolley.v
+        jumped = self._jump(before, dv)
+        after = self._propagate(jumped, h, start.v, a_cmd, payload_fx)
+        end_v = start.v + h * a_cmd
+        trolley_dx = h * (start.v + 0.5 * h * a_cmd)
+        payload_dx = float(self.modes.shapes[-1] @ (after.eta - before.eta)) + trolley_dx
+        payload_work = payload_fx * payload_dx
+        dissipated, drag_work = self._drag(jumped, h, start.v, a_cmd, payload_fx)
+        # The drive gives all change of horizontal momentum P that the payload's force and the air
+        # do not: with v = v0 + a t its work is the integral of (P' - fx + drag) v.
+        drive_work = (
+            self._momentum(after, end_v) * end_v
+            - self._momentum(jumped, start.v) * start.v
+            - a_cmd * self._carried_path(jumped, after, trolley_dx)
+            - payload_fx * trolley_dx
+            + drag_work
+        )
+        impulse = self._momentum(jumped, start.v) - self._momentum(before, self.trolley.v)
+        jump_work = 0.5 * (start.v + self.trolley.v) * impulse
+        self._motion = after
+        p0, p1 = self._forcing(start.v, a_cmd, payload_fx)
+        self._rate_of_rate = (
+            p0 + h * p1 - self.crane.damping.air * after.rate - self.modes.omega**2 * after.eta
+        )
+        self._trolley_fx = self._drive_force(end_v, a_cmd)
+        self._ledger = self._ledger.booked(jump_work + drive_work, payload_work, dissipated)
+        self.effort = Effort(steps=1, iterations=0)
+
+    def _momentum(self, motion: ModalMotion, trolley_v: float) -> float:
+        """Horizontal momentum of chain and payload, kg m/s."""
+        total = self.crane.chain.mass + self.crane.payload.mass
+        return float(self._push @ motion.rate) + total * trolley_v
+
+    def _carried_path(self, start: ModalMotion, end: ModalMotion, trolley_dx: float) -> float:
+        """Integral of the momentum over a step, kg m: mass times absolute displacement."""
+        total = self.crane.chain.mass + self.crane.payload.mass
+        return float(self._push @ (end.eta - start.eta)) + total * trolley_dx
+
+    def _drag(
+        self, motion: ModalMotion, h: float, v: float, a: float, payload_fx: float
+    ) -> tuple[float, float]:
+        """What the air takes in a step, alpha v^T M v, and the drive's work against its drag, J.
+
+        Gauss quadrature of the exact motion, four points to each of at most solver.max_step.
+        """
+        air = self.crane.damping.air
+        taken = work = 0.0
+        if not air:
+            return taken, work
+        count = self.internal_steps(h)
+        width = h / count
+        for i in range(count):
+            for node, weight in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True):
+                t = (i + 0.5 * (1.0 + node)) * width
+                at = self._propagate(motion, t, v, a, payload_fx)
+                trolley_v = v + a * t
+                kinetic = 0.5 * float(at.rate @ at.rate) + self._carried(at, trolley_v)
+                taken += 0.5 * weight * width * air * 2.0 * kinetic
+                work += 0.5 * weight * width * air * self._momentum(at, trolley_v) * trolley_v
+        return float(taken), float(work)
+
+    def _drive_force(self, trolley_v: float, trolley_a: float) -> float:
+        """Force of the drive on the chain, N: node 0's row of (31)."""
+        chain, air = self.chain, self.crane.damping.air
+        _, row = chain.node0_mass
+        q, rate, acceleration = (
+            float(self.modes.shapes[0] @ modal)
+            for modal in (self._motion.eta, self._motion.rate, self._rate_of_rate)
+        )
+        carried = row * (trolley_a + air * trolley_v) + chain.mass_coupling * (
+            acceleration + air * rate
+        )
+        return carried - float(self._tension[0]) / chain.L0 * q
+
+    def _posture(self) -> Posture:
+        """The string's displacements at the rest position's depths."""
+        seen = self._seen @ self._motion.eta
+        depths = self._interpolation @ self.chain.rest[:, 1]
+        rate = float(self.modes.shapes[-1] @ self._motion.rate)
+        return Posture(
+            points=np.column_stack((seen[:-1], depths)),
+            payload=np.array([seen[MATERIAL_POINTS - 1], self.chain.rest[-1, 1]]),
+            payload_w=np.array([rate, 0.0]),
+            top_angle=atan2(float(seen[-1]), -float(self.chain.rest[0, 1])),
+            trolley_fx=self._trolley_fx,
+            tension_top=float(self._tension[0]),
+            tension_min=float(self._tension[-1]),
+        )

@@ -1,0 +1,216 @@
+"""The nonlinear crane: a chain of truss elements, large motions, tension by its own stretch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import atan2
+
+import numpy as np
+
+from . import banded
+from .chain import (
+    Array,
+    along_elements,
+    axial_force,
+    kinetic_energy,
+    potential_energy,
+    straight_chain,
+)
+from .crane import CraneModel, Effort, Ledger, Posture
+from .energy_momentum import EnergyMomentum
+from .errors import EnergyBalanceBroken, NotConverged
+from .newmark import Newmark
+from .parameters import Crane, Initial, Numerics
+from .scheme import Load, Motion, Scheme, StepResult
+from .trolley import Trolley
+
+SCHEME_CLASSES = {"energy_momentum": EnergyMomentum, "newmark": Newmark}
+MAX_HALVINGS = 12  # of an internal step that does not converge or breaks the energy balance
+STEP_ENERGY_TOLERANCE = 1e-3  # of the largest energy so far, what a step may be off by
+TOTAL_ENERGY_TOLERANCE = 1e-2  # the same, since the start
+ROUND_OFF_ENERGY = 1e-9  # of weight times length, what round-off alone may amount to
+
+
+@dataclass(frozen=True)
+class NonlinearState:
+    """All that a step starts from, besides the trolley."""
+
+    motion: Motion
+    load: Load | None  # of the last step; a change of it is a new start for the scheme
+    ledger: Ledger
+    energy: float  # J
+    largest_energy: float  # J, so far: what errors are measured against
+    trolley_fx: float  # N
+    tension: Array  # N, (n,)
+
+
+class NonlinearCrane(CraneModel):
+    """The paper's nonlinear crane, section 2.1, with a scheme that is safe for stiff chains."""
+
+    def __init__(
+        self,
+        crane: Crane | None = None,
+        initial: Initial | None = None,
+        numerics: Numerics | None = None,
+    ) -> None:
+        super().__init__(crane, initial, numerics)
+        chain = self.chain
+        self._scheme: Scheme = SCHEME_CLASSES[self.numerics.scheme](chain)
+        self._mass = banded.Factors(banded.mass_bands(chain))
+        r = straight_chain(chain, self.initial.sway_angle)
+        d = along_elements(r)
+        length = np.hypot(d[:, 0], d[:, 1])
+        tension = axial_force(self.crane.chain.EA, chain.L0, length)
+        motion = Motion(r, np.zeros_like(r))
+        energy = self._energy(motion, self.trolley.v)
+        self._state = NonlinearState(
+            motion=motion,
+            load=None,
+            ledger=Ledger(start=energy),
+            energy=energy,
+            largest_energy=energy,
+            trolley_fx=float(-tension[0] * d[0, 0] / length[0]),
+            tension=tension,
+        )
+
+    @property
+    def energy(self) -> float:
+        """Mechanical energy above the rest position, J."""
+        return self._state.energy
+
+    @property
+    def ledger(self) -> Ledger:
+        """The energy ledger."""
+        return self._state.ledger
+
+    @property
+    def motion(self) -> Motion:
+        """Positions and velocities of the free nodes relative to the trolley."""
+        return self._state.motion
+
+    def _energy(self, motion: Motion, trolley_v: float) -> float:
+        return kinetic_energy(self.chain, motion.w, trolley_v) + potential_energy(
+            self.chain, motion.r
+        )
+
+    def _jump(self, state: NonlinearState, before: float, after: float) -> NonlinearState:
+        """The trolley's velocity jumps, m/s: the impulse of the consistent mass on the free nodes.
+
+        M_ff dw = -b dv, with b the row sums; the drive's impulse works at the mean velocity.
+        """
+        dv = after - before
+        if dv == 0.0:
+            return state
+        push = np.zeros_like(state.motion.w)
+        push[:, 0] = -self.chain.row_mass * dv
+        dw = self._mass.solve(push)
+        motion = Motion(state.motion.r, state.motion.w + dw)
+        _, row = self.chain.node0_mass
+        impulse = row * dv + self.chain.mass_coupling * float(dw[0, 0])
+        energy = self._energy(motion, after)
+        return replace(
+            state,
+            motion=motion,
+            load=None,
+            ledger=state.ledger.booked(0.5 * (before + after) * impulse, 0.0, 0.0),
+            energy=energy,
+            largest_energy=max(state.largest_energy, energy),
+        )
+
+    def _advance(self, h: float, start: Trolley, a_cmd: float, payload_fx: float) -> None:
+        state = self._jump(self._state, self.trolley.v, start.v)
+        count = self.internal_steps(h)
+        effort = Effort()
+        for i in range(count):
+            state, effort = self._internal_step(
+                state, effort, start, i * h / count, h / count, a_cmd, payload_fx
+            )
+        self._state = state
+        self.effort = effort
+
+    def _internal_step(
+        self,
+        state: NonlinearState,
+        effort: Effort,
+        start: Trolley,
+        elapsed: float,
+        h: float,
+        a_cmd: float,
+        payload_fx: float,
+    ) -> tuple[NonlinearState, Effort]:
+        """One internal step; where it fails it is halved, at most MAX_HALVINGS times over."""
+        pending = [(elapsed, h, 0)]
+        while pending:
+            elapsed, h, halvings = pending.pop()
+            load = Load(start.v + elapsed * a_cmd, a_cmd, payload_fx)
+            try:
+                state, iterations = self._attempt(state, load, h)
+                effort = Effort(effort.steps + 1, effort.iterations + iterations)
+            except (NotConverged, EnergyBalanceBroken) as error:
+                if halvings == MAX_HALVINGS:
+                    when = self.time + elapsed
+                    raise type(error)(f"at t = {when:.6g} s: {error}") from None
+                pending.append((elapsed + 0.5 * h, 0.5 * h, halvings + 1))
+                pending.append((elapsed, 0.5 * h, halvings + 1))
+        return state, effort
+
+    def _attempt(self, state: NonlinearState, load: Load, h: float) -> tuple[NonlinearState, int]:
+        """One step of the scheme, with its energy balance checked."""
+        motion = state.motion
+        last = state.load
+        if last is None or (last.trolley_a, last.payload_fx) != (load.trolley_a, load.payload_fx):
+            motion = Motion(motion.r, motion.w)  # a jump of load: accelerations start anew
+        result = self._scheme.step(self._scheme.start(motion, load), load, h)
+        ledger = state.ledger.booked(result.work_trolley, result.work_payload, result.dissipated)
+        energy = self._energy(result.motion, load.trolley_v + h * load.trolley_a)
+        self._check_energy(state, ledger, energy, h)
+        return self._after(state, result, load, ledger, energy), result.iterations
+
+    def _after(
+        self,
+        state: NonlinearState,
+        result: StepResult,
+        load: Load,
+        ledger: Ledger,
+        energy: float,
+    ) -> NonlinearState:
+        return NonlinearState(
+            motion=result.motion,
+            load=load,
+            ledger=ledger,
+            energy=energy,
+            largest_energy=max(state.largest_energy, energy),
+            trolley_fx=result.trolley_fx,
+            tension=result.tension,
+        )
+
+    def _check_energy(self, state: NonlinearState, ledger: Ledger, energy: float, h: float) -> None:
+        """Raise EnergyBalanceBroken where energy now differs from before + work - dissipation."""
+        weight = self.crane.gravity * (self.crane.chain.mass + self.crane.payload.mass)
+        floor = ROUND_OFF_ENERGY * weight * self.crane.chain.length
+        scale = max(state.largest_energy, ledger.expected)
+        total = energy - ledger.expected
+        step = total - (state.energy - state.ledger.expected)
+        if not abs(step) <= STEP_ENERGY_TOLERANCE * scale + floor:
+            raise EnergyBalanceBroken(
+                f"a step of {h:.3g} s is off its energy balance by {step:.3g} J"
+                f" of {scale:.3g} J; allowed is {STEP_ENERGY_TOLERANCE:g} of it"
+            )
+        if not abs(total) <= TOTAL_ENERGY_TOLERANCE * scale + floor:
+            raise EnergyBalanceBroken(
+                f"the energy balance since the start is off by {total:.3g} J"
+                f" of {scale:.3g} J; allowed is {TOTAL_ENERGY_TOLERANCE:g} of it"
+            )
+
+    def _posture(self) -> Posture:
+        state = self._state
+        r, w = state.motion.r, state.motion.w
+        return Posture(
+            points=self._interpolation @ r,
+            payload=r[-1],
+            payload_w=w[-1],
+            top_angle=atan2(float(r[0, 0]), -float(r[0, 1])),
+            trolley_fx=state.trolley_fx,
+            tension_top=float(state.tension[0]),
+            tension_min=float(state.tension.min()),
+        )

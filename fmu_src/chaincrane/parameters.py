@@ -1,0 +1,126 @@
+"""Parameters of the cranes, and the parameter sets of the paper.
+
+The attribute paths are the FMU's variable names: ``parameters.chain.EA`` is ``chain.EA``.
+Physics (:class:`Crane`), the state at the start (:class:`Initial`) and numerical settings
+(:class:`Numerics`) stand apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, is_dataclass
+from math import isfinite
+from typing import Any
+
+from .errors import BadValue
+
+MAX_ELEMENTS = 10_000
+SCHEMES = ("energy_momentum", "newmark")
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The chain. The paper gives length and mass; its EA is open, ours is a steel rod's.
+
+    EA = E m / (rho L) with E = 210 GPa and rho = 7850 kg/m3.
+    """
+
+    length: float = 0.8  # m, unstretched
+    mass: float = 0.22  # kg, the whole chain
+    EA: float = 7.357e6  # N, axial stiffness
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A point mass at the chain's lower end."""
+
+    mass: float = 0.42  # kg
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Damping, ours: the paper has none."""
+
+    air: float = 0.0  # 1/s, mass-proportional, on the absolute velocity
+    chain: float = 0.0  # s, axial Kelvin-Voigt time constant
+
+
+@dataclass(frozen=True)
+class Crane:
+    """The physics of a crane."""
+
+    chain: Chain = field(default_factory=Chain)
+    payload: Payload = field(default_factory=Payload)
+    gravity: float = 9.81  # m/s2
+    damping: Damping = field(default_factory=Damping)
+
+
+@dataclass(frozen=True)
+class Initial:
+    """The crane's motion just before the start time."""
+
+    speed: float = 0.8  # m/s, of the whole crane
+    sway_angle: float = 0.0  # rad, of the straight chain, released at the start time
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """Numerical settings."""
+
+    elements: int = 10  # number of finite elements
+    max_step: float = 1e-3  # s, longest internal step
+    scheme: str = "energy_momentum"  # or "newmark", the paper's
+
+
+# Maourane & Szabo (2020), section 2.3. "travelling" and the stiffness are ours: the paper is silent.
+MAOURANE_SZABO_2020_HEAVY = Crane(payload=Payload(mass=0.42))
+MAOURANE_SZABO_2020_LIGHT = Crane(payload=Payload(mass=0.07))
+
+_POSITIVE = "a finite number above 0"
+_NOT_NEGATIVE = "a finite number, 0 or above"
+_FINITE = "a finite number"
+_QUARTER_TURN = 1.5707963267948966
+
+_NUMBERS = {  # name -> (allowed, in words; test)
+    "chain.length": (_POSITIVE, lambda v: v > 0),
+    "chain.mass": (_POSITIVE, lambda v: v > 0),
+    "chain.EA": (_POSITIVE, lambda v: v > 0),
+    "payload.mass": (_POSITIVE, lambda v: v > 0),
+    "gravity": (_POSITIVE, lambda v: v > 0),
+    "damping.air": (_NOT_NEGATIVE, lambda v: v >= 0),
+    "damping.chain": (_NOT_NEGATIVE, lambda v: v >= 0),
+    "initial.speed": (_FINITE, lambda v: True),
+    "initial.sway_angle": (
+        "an angle strictly between -pi/2 and pi/2 rad",
+        lambda v: abs(v) < _QUARTER_TURN,
+    ),
+}
+
+
+def check_number(name: str, value: float, allowed: str = _FINITE, *, test: Any = None) -> None:
+    """Raise BadValue unless ``value`` is a finite number that passes ``test``."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise BadValue(name, value, allowed)
+    if not isfinite(value) or (test is not None and not test(value)):
+        raise BadValue(name, value, allowed)
+
+
+def _check_fields(group: Any, prefix: str) -> None:
+    for entry in fields(group):
+        name, value = prefix + entry.name, getattr(group, entry.name)
+        if is_dataclass(value):
+            _check_fields(value, name + ".")
+        else:
+            allowed, test = _NUMBERS[name]
+            check_number(name, value, allowed, test=test)
+
+
+def check(crane: Crane, initial: Initial, numerics: Numerics) -> None:
+    """Raise BadValue for the first value that is not allowed; names are the FMU's."""
+    _check_fields(crane, "")
+    _check_fields(initial, "initial.")
+    elements = numerics.elements
+    if not isinstance(elements, int) or not 1 <= elements <= MAX_ELEMENTS:
+        raise BadValue("chain.elements", elements, f"a whole number from 1 to {MAX_ELEMENTS}")
+    check_number("solver.max_step", numerics.max_step, _POSITIVE, test=lambda v: v > 0)
+    if numerics.scheme not in SCHEMES:
+        raise BadValue("solver.scheme", numerics.scheme, "one of " + ", ".join(SCHEMES))
