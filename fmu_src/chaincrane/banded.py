@@ -63,4 +63,4 @@ class Factors:
     def solve(self, load: Array) -> Array:
         """Solve for nodal values, shape (n, 2)."""
         x, _ = dgbtrs(self._lu, _BAND, _BAND, load.ravel(), self._pivots)
-        return x.reshape(load.shape)
+        return np.asarray(x).reshape(load.shape)

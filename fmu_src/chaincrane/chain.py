@@ -36,7 +36,8 @@ def element_mass(mu: float, L0: float) -> Array:
     M_e = mu L0 / 6 [2 0 1 0; 0 2 0 1; 1 0 2 0; 0 1 0 2], kg, shape (4, 4), for the nodal values
     [x_i, y_i, x_j, y_j]. It is the same in every direction, so it needs no transformation.
     """
-    return mu * L0 / 6.0 * np.kron([[2.0, 1.0], [1.0, 2.0]], np.eye(2))
+    coupled = np.array([[2.0, 1.0], [1.0, 2.0]])
+    return np.asarray(mu * L0 / 6.0 * np.kron(coupled, np.eye(2)), dtype=float)
 
 
 def element_weight(mu: float, L0: float, gravity: float) -> Array:
@@ -97,9 +98,9 @@ def hanging_tension(crane: Crane, elements: int) -> Array:
 
     N_e = g (payload + elements below + half of element e).
     """
-    below = elements - 1 - np.arange(elements)
-    element = crane.chain.mass / elements
-    return crane.gravity * (crane.payload.mass + element * (below + 0.5))
+    below = np.arange(elements - 0.5, 0.0, -1.0)  # elements, down from the middle of e
+    carried = crane.payload.mass + crane.chain.mass / elements * below
+    return np.asarray(crane.gravity * carried)
 
 
 def hanging_length(crane: Crane, elements: int, tension: Array) -> Array:
@@ -156,7 +157,7 @@ def straight_chain(chain: DiscreteChain, sway_angle: float) -> Array:
         return chain.rest.copy()
     tension = hanging_tension(chain.crane, chain.elements) * np.cos(sway_angle)
     along = np.cumsum(hanging_length(chain.crane, chain.elements, tension))
-    return along[:, None] * np.array([np.sin(sway_angle), -np.cos(sway_angle)])
+    return np.asarray(np.outer(along, [np.sin(sway_angle), -np.cos(sway_angle)]))
 
 
 def mass_times(chain: DiscreteChain, nodal: Array) -> Array:

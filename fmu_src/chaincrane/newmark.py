@@ -72,13 +72,14 @@ class Newmark:
         trolley_v1 = load.trolley_v + h * load.trolley_a
         applied = self._applied(load, trolley_v1)
         increment = np.zeros_like(r)
+        correction = increment
         for iteration in range(MAX_ITERATIONS + 1):
             a1 = 4.0 / h**2 * increment - 4.0 / h * w - a  # (18)
             w1 = 2.0 / h * increment - w  # (19)
             r1 = r + increment  # (20)
             residual = applied - mass_times(chain, a1) - self._resisting(r1, w1)  # (21)
             if iteration:
-                moved = float(np.linalg.norm(correction) / np.linalg.norm(r1))  # noqa: F821
+                moved = float(np.linalg.norm(correction) / np.linalg.norm(r1))
                 unbalanced = float(np.abs(residual).max()) / self._weight
                 if moved <= DISPLACEMENT_TOLERANCE and unbalanced <= FORCE_TOLERANCE:
                     return self._result(motion, load, h, Motion(r1, w1, a1), iteration)
@@ -130,7 +131,6 @@ class Newmark:
         self, motion: Motion, load: Load, h: float, end: Motion, iterations: int
     ) -> StepResult:
         """Step VI, (24)-(26), done; the step's energy terms by the trapezoidal rule."""
-        chain, crane = self.chain, self.chain.crane
         trolley_v1 = load.trolley_v + h * load.trolley_a
         trolley_dx = 0.5 * h * (load.trolley_v + trolley_v1)
         before = self.trolley_force(motion, load.trolley_v, load.trolley_a)

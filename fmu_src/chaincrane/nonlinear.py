@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import atan2
 
@@ -10,6 +11,7 @@ import numpy as np
 from . import banded
 from .chain import (
     Array,
+    DiscreteChain,
     along_elements,
     axial_force,
     kinetic_energy,
@@ -24,7 +26,10 @@ from .parameters import Crane, Initial, Numerics
 from .scheme import Load, Motion, Scheme, StepResult
 from .trolley import Trolley
 
-SCHEME_CLASSES = {"energy_momentum": EnergyMomentum, "newmark": Newmark}
+SCHEME_CLASSES: dict[str, Callable[[DiscreteChain], Scheme]] = {
+    "energy_momentum": EnergyMomentum,
+    "newmark": Newmark,
+}
 MAX_HALVINGS = 12  # of an internal step that does not converge or breaks the energy balance
 STEP_ENERGY_TOLERANCE = 1e-3  # of the largest energy so far, what a step may be off by
 TOTAL_ENERGY_TOLERANCE = 1e-2  # the same, since the start

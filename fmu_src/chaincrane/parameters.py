@@ -71,7 +71,7 @@ class Numerics:
     scheme: str = "energy_momentum"  # or "newmark", the paper's
 
 
-# Maourane & Szabo (2020), section 2.3. "travelling" and the stiffness are ours: the paper is silent.
+# Maourane & Szabo (2020), section 2.3; the stiffness is ours, the paper gives none.
 MAOURANE_SZABO_2020_HEAVY = Crane(payload=Payload(mass=0.42))
 MAOURANE_SZABO_2020_LIGHT = Crane(payload=Payload(mass=0.07))
 
