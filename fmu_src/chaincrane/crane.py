@@ -9,7 +9,7 @@ from math import atan2, ceil, isfinite
 import numpy as np
 
 from .chain import Array, DiscreteChain, discretise, interpolation
-from .errors import BadValue
+from .errors import BadState, BadValue
 from .parameters import Crane, Initial, Numerics, check, check_number
 from .trolley import Trolley
 
@@ -128,6 +128,33 @@ class CraneModel(ABC):
     @abstractmethod
     def ledger(self) -> Ledger:
         """The energy ledger."""
+
+    @abstractmethod
+    def _save(self) -> Array:
+        """The model's own state as one vector."""
+
+    @abstractmethod
+    def _load(self, vector: Array) -> None:
+        """Restore what :meth:`_save` gave."""
+
+    def save(self) -> bytes:
+        """The whole state, bit for bit; the parameters are not in it."""
+        shared = [self.time, self.trolley.x, self.trolley.v, self.trolley.gained]
+        shared += [float(self.effort.steps), float(self.effort.iterations)]
+        return np.concatenate((shared, self._save())).astype("<f8").tobytes()
+
+    def load(self, state: bytes) -> None:
+        """Restore what :meth:`save` gave, in a crane with the same parameters.
+
+        Raises BadState, the crane unchanged, where the size does not fit.
+        """
+        if len(state) != len(self.save()):
+            raise BadState("the saved state is of a crane with another number of elements")
+        vector = np.frombuffer(state, dtype="<f8").astype(float)
+        self.time = float(vector[0])
+        self.trolley = Trolley(*vector[1:4].tolist())
+        self.effort = Effort(int(vector[4]), int(vector[5]))
+        self._load(vector[6:])
 
     @abstractmethod
     def _posture(self) -> Posture:

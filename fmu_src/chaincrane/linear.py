@@ -282,6 +282,20 @@ class LinearCrane(CraneModel):
         )
         return carried - float(self._tension[0]) / chain.L0 * q
 
+    def _save(self) -> Array:
+        ledger = self._ledger
+        booked = [ledger.start, ledger.trolley, ledger.payload, ledger.dissipated]
+        motion = self._motion
+        return np.concatenate(
+            (booked, [self._trolley_fx], motion.eta, motion.rate, self._rate_of_rate)
+        )
+
+    def _load(self, vector: Array) -> None:
+        self._ledger = Ledger(*vector[:4].tolist())
+        self._trolley_fx = float(vector[4])
+        eta, rate, self._rate_of_rate = np.split(vector[5:], 3)
+        self._motion = ModalMotion(eta, rate)
+
     def _posture(self) -> Posture:
         """The string's displacements at the rest position's depths."""
         seen = self._seen @ self._motion.eta

@@ -207,6 +207,34 @@ class NonlinearCrane(CraneModel):
                 f" of {scale:.3g} J; allowed is {TOTAL_ENERGY_TOLERANCE:g} of it"
             )
 
+    def _save(self) -> Array:
+        state, ledger = self._state, self._state.ledger
+        booked = [ledger.start, ledger.trolley, ledger.payload, ledger.dissipated]
+        last = state.load
+        load = (0.0, 0.0, 0.0, 0.0)
+        if last is not None:
+            load = (1.0, last.trolley_v, last.trolley_a, last.payload_fx)
+        motion = state.motion
+        a = np.full_like(motion.r, np.nan) if motion.a is None else motion.a
+        scalars = [*booked, *load, state.energy, state.largest_energy, state.trolley_fx]
+        nodal = np.concatenate((motion.r.ravel(), motion.w.ravel(), a.ravel()))
+        return np.concatenate((scalars, nodal, state.tension))
+
+    def _load(self, vector: Array) -> None:
+        n = self.chain.elements
+        scalars, nodal, tension = np.split(vector, (11, 11 + 6 * n))
+        numbers = scalars.tolist()
+        r, w, a = nodal.reshape(3, n, 2)
+        self._state = NonlinearState(
+            motion=Motion(r, w, None if np.isnan(a).any() else a),
+            load=Load(*numbers[5:8]) if numbers[4] else None,
+            ledger=Ledger(*numbers[:4]),
+            energy=numbers[8],
+            largest_energy=numbers[9],
+            trolley_fx=numbers[10],
+            tension=tension,
+        )
+
     def _posture(self) -> Posture:
         state = self._state
         r, w = state.motion.r, state.motion.w

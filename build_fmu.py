@@ -1,0 +1,133 @@
+#!/usr/bin/env python3
+"""Build crane_nl.fmu and crane_lin.fmu, and check each with FMPy.
+
+The same sources give the same bytes: the guid is the sources' hash, entries are sorted and dated
+by SOURCE_DATE_EPOCH (or 1980), and modules inside an FMU carry the hash in their names, so that
+several FMUs, or two builds of one, can live in one process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+import tempfile
+import zipfile
+from datetime import datetime, timezone
+from hashlib import sha256
+from pathlib import Path
+
+SOURCES = Path(__file__).resolve().parent / "fmu_src"
+MODELS = ("crane_nl", "crane_lin")
+PACKAGE, SLAVE = "chaincrane", "crane_slave"
+EARLIEST = 315532800  # 1980-01-01, the first day that a zip file can name
+
+
+def read_sources(model: str) -> dict[str, bytes]:
+    """The files that make ``model``'s FMU, by their path in fmu_src."""
+    files = [SOURCES / f"{model}.py", SOURCES / f"{SLAVE}.py"]
+    files += sorted((SOURCES / PACKAGE).glob("*.py"))
+    return {file.relative_to(SOURCES).as_posix(): file.read_bytes() for file in files}
+
+
+def content_hash(sources: dict[str, bytes]) -> str:
+    """Hash of what goes into an FMU: its sources, what describes it, and pythonfmu's version."""
+    import pythonfmu
+
+    digest = sha256(pythonfmu.__version__.encode())
+    described = {"model_description.py": (SOURCES / "model_description.py").read_bytes()}
+    for name, content in sorted((sources | described).items()):
+        digest.update(f"{name}\0{len(content)}\0".encode())
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def stage(sources: dict[str, bytes], digest: str, folder: Path) -> None:
+    """Write the sources with module names that are unique to their content."""
+    tag = digest[:12]
+    imported = re.compile(rf"^(from|import) ({PACKAGE}|{SLAVE})\b", flags=re.MULTILINE)
+    renamed = re.compile(r"^(\w+?)(/|\.py$)")
+    for name, content in sources.items():
+        text = imported.sub(rf"\1 \2_{tag}", content.decode())
+        if name == f"{PACKAGE}/build_info.py":
+            text = text.replace('SOURCES = "unbuilt"', f'SOURCES = "{digest}"')
+        target = folder / renamed.sub(rf"\1_{tag}\2", name)
+        target.parent.mkdir(exist_ok=True)
+        target.write_text(text)
+
+
+def build(model: str, dest: Path) -> Path:
+    """Build one FMU into the folder ``dest``; returns its path."""
+    sys.path.insert(0, str(SOURCES))
+    from pythonfmu import __version__
+    from pythonfmu.builder import FmuBuilder
+
+    from model_description import model_description
+
+    sources = read_sources(model)
+    digest = content_hash(sources)
+    tag = digest[:12]
+    epoch = max(EARLIEST, int(os.environ.get("SOURCE_DATE_EPOCH", EARLIEST)))
+    date = datetime.fromtimestamp(epoch, tz=timezone.utc)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch, "src")
+        folder.mkdir()
+        stage(sources, digest, folder)
+        raw = FmuBuilder.build_FMU(
+            folder / f"{model}_{tag}.py",
+            dest=scratch,
+            project_files=[folder / f"{PACKAGE}_{tag}", folder / f"{SLAVE}_{tag}.py"],
+        )
+        with zipfile.ZipFile(raw) as archive:
+            entries = {name: archive.read(name) for name in archive.namelist()}
+    entries["modelDescription.xml"] = model_description(
+        model, digest, date.strftime("%Y-%m-%dT%H:%M:%SZ"), f"chaincrane, pythonfmu {__version__}"
+    )
+    dest.mkdir(parents=True, exist_ok=True)
+    fmu = dest / f"{model}.fmu"
+    write_archive(fmu, entries, date)
+    return fmu
+
+
+def write_archive(path: Path, entries: dict[str, bytes], date: datetime) -> None:
+    """Write a zip file whose bytes depend on its entries and date alone."""
+    partial = path.with_suffix(".part")
+    with zipfile.ZipFile(partial, "w") as archive:
+        for name in sorted(entries):
+            info = zipfile.ZipInfo(name, date.timetuple()[:6])
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.create_system = 3  # the same on every system
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, entries[name], compresslevel=9)
+    partial.replace(path)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Build what the command line asks for; 0 where FMPy finds no problem."""
+    parser = argparse.ArgumentParser(
+        description="Build the cranes' FMUs and validate them with FMPy.",
+        epilog="examples:  python build_fmu.py    python build_fmu.py --dest out crane_nl",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("models", nargs="*", metavar="MODEL", help=f"{', '.join(MODELS)} (all)")
+    parser.add_argument("--dest", type=Path, default=Path(), help="folder for the FMUs (this one)")
+    options = parser.parse_args(arguments)
+    unknown = sorted(set(options.models) - set(MODELS))
+    if unknown:
+        parser.error(f"no such model: {', '.join(unknown)}; there are {', '.join(MODELS)}")
+    from fmpy.validation import validate_fmu
+
+    failed = False
+    for model in options.models or MODELS:
+        fmu = build(model, options.dest)
+        problems = validate_fmu(str(fmu))
+        for problem in problems:
+            print(f"{fmu}: {problem}", file=sys.stderr)
+        failed = failed or bool(problems)
+        print(f"{fmu}: {'INVALID' if problems else 'valid'}, {fmu.stat().st_size // 1024} kB")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,271 @@
+"""The FMI 2.0 slave of both cranes: it maps FMI names to the model, and lets no exception out.
+
+An exception that leaves a slave ends in fmi2Fatal, and hosts crash on it. So every error becomes a
+log line, and the next fmi2DoStep a fmi2Discard with the state unchanged:
+- a *refusal* (a parameter set too late, a value of an unknown variable) fails one step;
+- a *fault* (a bad start value, a bad saved state) fails every step until a reset or a good state.
+"""
+
+from __future__ import annotations
+
+import json
+from hashlib import sha256
+from math import isfinite, nan
+from typing import Any
+
+from pythonfmu import Fmi2Slave
+from pythonfmu.enums import Fmi2Status
+
+from chaincrane.build_info import SOURCES
+from chaincrane.crane import CraneModel
+from chaincrane.errors import BadState, BadValue, CraneError
+from chaincrane.interface import INPUTS, OUTPUTS, VARIABLES, settings
+
+KINDS = ("Real", "Integer", "String", "Boolean")
+PARAMETER_REFERENCES = {
+    reference: variable.name
+    for reference, variable in enumerate(VARIABLES)
+    if variable.causality == "parameter"
+}
+FIRST_OUTPUT = len(VARIABLES) - len(OUTPUTS)
+STATE_MAGIC = b"chaincrane state 1\n"
+TIME_TOLERANCE = 1e-9  # of the time reached: hosts add up their steps with round-off
+
+
+class CraneSlave(Fmi2Slave):
+    """Base of both cranes' slaves; a subclass says which model it runs."""
+
+    model_class: type[CraneModel]
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.modelName = type(self).__name__
+        self._values: dict[str, dict[int, Any]] = {kind: {} for kind in KINDS}
+        for reference, variable in enumerate(VARIABLES):
+            self._values[variable.kind][reference] = variable.start
+        self._model: CraneModel | None = None
+        self._observed = False
+        self._phase = "instantiated"
+        self._time = 0.0
+        self._fault: str | None = None
+        self._refusal: str | None = None
+
+    # --- FMI life cycle -----------------------------------------------------------------------
+
+    def setup_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
+        """Keep the start time; stop time and tolerance do not matter to the models."""
+        if not isfinite(start_time):
+            self._refuse(str(BadValue("start time", start_time, "a finite number, s")))
+        elif self._phase != "stepping":
+            self._time = start_time
+
+    def enter_initialization_mode(self) -> None:
+        """From here on, until it is left, start values may be set and outputs be read."""
+        if self._phase == "instantiated":
+            self._phase = "initialising"
+        else:
+            self._refuse("initialisation mode can be entered once, before the first step")
+
+    def exit_initialization_mode(self) -> None:
+        """Build the model from the start values; a bad one fails every step that follows."""
+        if self._phase != "initialising":
+            self._refuse("initialisation mode was left without being entered")
+            return
+        self._phase = "stepping"
+        self._build()
+
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Advance the model; False, the state unchanged, where that cannot be done."""
+        try:
+            self._step(current_time, step_size)
+        except CraneError as error:
+            self._log_error(str(error))
+            return False
+        except Exception as error:  # a defect of ours must not take the host down
+            self._log_error(f"internal error, please report it: {error!r}")
+            return False
+        return True
+
+    def terminate(self) -> None:
+        """Nothing to release; a step after this is refused."""
+        self._phase = "terminated"
+
+    def _step(self, current_time: float, step_size: float) -> None:
+        if self._fault is not None:
+            raise CraneError(self._fault)
+        if self._refusal is not None:
+            refusal, self._refusal = self._refusal, None
+            raise CraneError(refusal)
+        if self._phase != "stepping" or self._model is None:
+            raise CraneError(f"a step needs an initialised instance; this one is {self._phase}")
+        if not abs(current_time - self._time) <= TIME_TOLERANCE * max(1.0, abs(self._time)):
+            allowed = f"the time reached, {self._time!r} s"
+            raise BadValue("current communication point", current_time, allowed)
+        real = self._values["Real"]
+        self._model.step(step_size, *(real[i] for i in range(len(INPUTS))))
+        self._time = current_time + step_size
+        self._observed = False
+
+    def _build(self) -> None:
+        """Make the model from the parameters; a bad one becomes a fault."""
+        values = {
+            name: self._values[VARIABLES[reference].kind][reference]
+            for reference, name in PARAMETER_REFERENCES.items()
+        }
+        self._observed = False
+        try:
+            self._model = self.model_class(*settings(values))
+        except Exception as error:
+            self._model = None
+            known = isinstance(error, CraneError)
+            self._fault = str(error) if known else f"internal error, please report it: {error!r}"
+            self._log_error(self._fault)
+
+    # --- variables ----------------------------------------------------------------------------
+
+    def get_real(self, vrs: list[int]) -> list[float]:
+        """Values of Real variables by value reference."""
+        return self._get("Real", vrs, nan)
+
+    def get_integer(self, vrs: list[int]) -> list[int]:
+        """Values of Integer variables by value reference."""
+        return self._get("Integer", vrs, 0)
+
+    def get_string(self, vrs: list[int]) -> list[str]:
+        """Values of String variables by value reference."""
+        return self._get("String", vrs, "")
+
+    def get_boolean(self, vrs: list[int]) -> list[bool]:
+        """There are no Boolean variables."""
+        return self._get("Boolean", vrs, False)
+
+    def set_real(self, vrs: list[int], values: list[float]) -> None:
+        """Set Real inputs and parameters by value reference."""
+        self._set("Real", vrs, values)
+
+    def set_integer(self, vrs: list[int], values: list[int]) -> None:
+        """Set Integer parameters by value reference."""
+        self._set("Integer", vrs, values)
+
+    def set_string(self, vrs: list[int], values: list[str]) -> None:
+        """Set String parameters by value reference."""
+        self._set("String", vrs, values)
+
+    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
+        """There are no Boolean variables."""
+        self._set("Boolean", vrs, values)
+
+    def _get(self, kind: str, vrs: list[int], missing: Any) -> list[Any]:
+        if not self._observed:
+            self._observe()
+        try:
+            values = self._values[kind]
+            return [values[vr] for vr in vrs]
+        except KeyError as error:
+            self._refuse(f"no {kind} variable has the value reference {error.args[0]}")
+            return [missing] * len(vrs)
+
+    def _set(self, kind: str, vrs: list[int], values: list[Any]) -> None:
+        for vr, value in zip(vrs, values, strict=False):
+            if vr not in self._values[kind]:
+                self._refuse(f"no {kind} variable has the value reference {vr}")
+            elif vr >= FIRST_OUTPUT:
+                self._refuse(f"{VARIABLES[vr].name} is an output: it cannot be set")
+            elif vr in PARAMETER_REFERENCES and self._phase in ("stepping", "terminated"):
+                self._refuse(
+                    f"{VARIABLES[vr].name} is a parameter: it is fixed when initialisation ends,"
+                    f" and cannot be set to {value!r} now"
+                )
+            else:
+                self._values[kind][vr] = value
+                if vr in PARAMETER_REFERENCES:
+                    self._model, self._observed = None, False
+
+    def _observe(self) -> None:
+        """Read the model's outputs; without a model they are not a number, and no zeros."""
+        if self._model is None and self._fault is None:
+            self._build()
+            if self._phase != "stepping":
+                self._fault = None  # start values may still be mended
+        self._observed = True
+        names = [variable.name for variable in OUTPUTS]
+        values: dict[str, Any] = {} if self._model is None else self._model.outputs()
+        for reference, name in enumerate(names, start=FIRST_OUTPUT):
+            kind = VARIABLES[reference].kind
+            missing = nan if kind == "Real" else 0
+            self._values[kind][reference] = values.get(name, missing)
+
+    # --- errors -------------------------------------------------------------------------------
+
+    def _refuse(self, message: str) -> None:
+        """Log what is refused now; the next step fails with it, once."""
+        self._log_error(message)
+        self._refusal = message
+
+    def _log_error(self, message: str) -> None:
+        self.log(message, Fmi2Status.error, "logStatusError")
+
+    # --- state --------------------------------------------------------------------------------
+
+    def _get_fmu_state(self) -> bytes:
+        """The whole state of the instance as bytes, with the build that it belongs to."""
+        head = {
+            "model": self.modelName,
+            "sources": SOURCES,
+            "phase": self._phase,
+            "time": self._time,
+            "fault": self._fault,
+            "refusal": self._refusal,
+            "values": {
+                kind: [self._values[kind][vr] for vr in sorted(self._values[kind])]
+                for kind in KINDS
+            },
+        }
+        model = b"" if self._model is None else self._model.save()
+        body = json.dumps(head).encode() + b"\n" + model
+        return STATE_MAGIC + sha256(body).digest() + body
+
+    def _set_fmu_state(self, state: bytes) -> None:
+        """Restore a state, all or nothing; one that is damaged or foreign becomes a fault."""
+        try:
+            self._restore(state)
+        except Exception as error:
+            known = isinstance(error, CraneError)
+            self._fault = str(error) if known else f"the saved state cannot be read: {error!r}"
+            self._log_error(self._fault)
+
+    def _restore(self, state: bytes) -> None:
+        digest_end = len(STATE_MAGIC) + 32
+        body = state[digest_end:]
+        if state[:digest_end] != STATE_MAGIC + sha256(body).digest():
+            raise BadState("the saved state is damaged, or not a chaincrane state")
+        line, model_bytes = body.split(b"\n", 1)
+        head = json.loads(line)
+        if (head["model"], head["sources"]) != (self.modelName, SOURCES):
+            raise BadState(
+                f"the saved state is of {head['model']}, sources {head['sources']};"
+                f" this is {self.modelName}, sources {SOURCES}"
+            )
+        values = {
+            kind: dict(zip(sorted(self._values[kind]), head["values"][kind], strict=True))
+            for kind in KINDS
+        }
+        self._values = values
+        self._phase, self._time = head["phase"], head["time"]
+        self._model, self._observed, self._refusal = None, False, head["refusal"]
+        self._fault = None
+        if model_bytes:
+            self._build()
+            assert self._model is not None
+            self._model.load(model_bytes)
+        self._fault = head["fault"]
+
+    @staticmethod
+    def _fmu_state_to_bytes(state: bytes) -> bytes:
+        return state
+
+    @staticmethod
+    def _fmu_state_from_bytes(state: bytes) -> bytes:
+        return bytes(state)

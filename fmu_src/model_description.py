@@ -1,0 +1,167 @@
+"""modelDescription.xml, written from the interface table. Used by the build; not in the FMU."""
+
+from __future__ import annotations
+
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from chaincrane.build_info import VERSION
+from chaincrane.interface import NAMES, OUTPUTS, UNITS, VARIABLES, Variable
+
+DESCRIPTIONS = {
+    "crane_nl": "Overhead crane with a flexible chain: nonlinear, truss finite elements"
+    " (Maourane & Szabo 2020, section 2.1)",
+    "crane_lin": "Overhead crane with a flexible chain: linear, a taut string stepped exactly"
+    " (Maourane & Szabo 2020, section 2.2)",
+}
+LOG_CATEGORIES = {
+    "logStatusWarning": "fmi2Warning: something to know of, the result stands",
+    "logStatusDiscard": "fmi2Discard: a step was not done",
+    "logStatusError": "Why a value, a step or a state was refused",
+    "logStatusFatal": "fmi2Fatal: the instance cannot go on",
+    "logAll": "All messages",
+}
+DEFAULT_EXPERIMENT = {
+    "startTime": "0",
+    "stopTime": "4",
+    "tolerance": "1e-6",
+    "stepSize": "0.005",
+}
+
+_WEIGHT = ("chain.mass", "chain.elements", "payload.mass", "gravity")
+_SHAPE = ("chain.length", "chain.mass", "chain.EA", "payload.mass", "gravity")
+_SWAY = ("initial.sway_angle",)
+_SPEED = ("initial.speed",)
+
+
+def initial_dependencies(model: str, output: str) -> tuple[str, ...]:
+    """Parameters that an output depends on before the first step."""
+    linear = model == "crane_lin"
+    points = output.startswith("chain.x[") or output == "chain.mid_x_rel"
+    if output in ("trolley.v", "payload.vx"):
+        return _SPEED
+    if output == "trolley.fx":
+        return _WEIGHT + _SWAY
+    if output.startswith("chain.tension"):
+        return _WEIGHT if linear else _WEIGHT + _SWAY
+    if output == "payload.y" or output.startswith("chain.y["):
+        heights = _SHAPE if output == "payload.y" else (*_SHAPE, "chain.elements")
+        return heights if linear else heights + _SWAY
+    if output in ("payload.x", "payload.x_rel") or points:
+        if linear:
+            return ("chain.length", *_SWAY)
+        return (*_SHAPE, "chain.elements", *_SWAY) if points else _SHAPE + _SWAY
+    if output == "payload.sway_angle":
+        return _SHAPE + _SWAY if linear else _SWAY
+    if output == "chain.top_angle":
+        return (*_SHAPE, "chain.elements", *_SWAY) if linear else _SWAY
+    if output == "energy.total":
+        stretch = () if linear else ("chain.EA", "chain.elements")
+        return ("chain.length", "chain.mass", "payload.mass", "gravity", *stretch, *_SWAY, *_SPEED)
+    return ()  # trolley.x, payload.vy, energy.dissipated, energy.error, solver.*: zero
+
+
+def _variable_element(variable: Variable, reference: int) -> Element:
+    output = variable.causality == "output"
+    if variable.kind == "Real" and variable.causality != "parameter":
+        variability = "continuous"
+    else:
+        variability = "discrete" if output else "fixed"
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.meaning,
+        "causality": variable.causality,
+        "variability": variability,
+    }
+    if variable.causality != "input":
+        attributes["initial"] = "calculated" if output else "exact"
+    element = Element("ScalarVariable", attributes)
+    typed = {
+        "unit": variable.unit,
+        "min": variable.minimum,
+        "max": variable.maximum,
+        "nominal": variable.nominal,
+        "start": variable.start,
+    }
+    # repr keeps every digit of a float, so that a value set back as its start is the same value
+    given = {
+        key: value if isinstance(value, str) else repr(value)
+        for key, value in typed.items()
+        if value is not None
+    }
+    SubElement(element, variable.kind, given)
+    return element
+
+
+def _unit_definitions() -> Element:
+    element = Element("UnitDefinitions")
+    for name, exponents in UNITS.items():
+        unit = SubElement(element, "Unit", {"name": name})
+        SubElement(unit, "BaseUnit", {base: str(power) for base, power in exponents.items()})
+        if name == "rad":
+            degree = {"name": "deg", "factor": repr(180.0 / 3.141592653589793)}
+            SubElement(unit, "DisplayUnit", degree)
+    return element
+
+
+def _model_structure(model: str) -> Element:
+    """Outputs and InitialUnknowns with their dependencies; indices count from 1.
+
+    A step's inputs act within the step, so no output depends on an input at its own instant.
+    """
+    structure = Element("ModelStructure")
+    index = {name: str(place) for place, name in enumerate(NAMES, start=1)}
+    outputs = SubElement(structure, "Outputs")
+    for variable in OUTPUTS:
+        SubElement(outputs, "Unknown", {"index": index[variable.name], "dependencies": ""})
+    unknowns = SubElement(structure, "InitialUnknowns")
+    for variable in OUTPUTS:
+        on = sorted(int(index[name]) for name in initial_dependencies(model, variable.name))
+        dependencies = " ".join(str(place) for place in on)
+        SubElement(
+            unknowns, "Unknown", {"index": index[variable.name], "dependencies": dependencies}
+        )
+    return structure
+
+
+def model_description(model: str, sources: str, date: str, tool: str) -> bytes:
+    """The XML of ``model`` (crane_nl or crane_lin), built by ``tool`` from ``sources`` (a hash)."""
+    root = Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": "2.0",
+            "modelName": model,
+            "guid": f"{{{sources}}}",
+            "description": DESCRIPTIONS[model],
+            "author": "the chaincrane authors",
+            "version": f"{VERSION}+{sources[:12]}",
+            "copyright": "Copyright 2026 the chaincrane authors",
+            "license": "MIT",
+            "generationTool": tool,
+            "generationDateAndTime": date,
+            "variableNamingConvention": "structured",
+        },
+    )
+    SubElement(
+        root,
+        "CoSimulation",
+        {
+            "modelIdentifier": model,
+            "needsExecutionTool": "false",
+            "canHandleVariableCommunicationStepSize": "true",
+            "canNotUseMemoryManagementFunctions": "true",
+            "canGetAndSetFMUstate": "true",
+            "canSerializeFMUstate": "true",
+        },
+    )
+    root.append(_unit_definitions())
+    categories = SubElement(root, "LogCategories")
+    for name, meaning in LOG_CATEGORIES.items():
+        SubElement(categories, "Category", {"name": name, "description": meaning})
+    SubElement(root, "DefaultExperiment", DEFAULT_EXPERIMENT)
+    variables = SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(VARIABLES):
+        variables.append(_variable_element(variable, reference))
+    root.append(_model_structure(model))
+    indent(root)
+    return tostring(root, encoding="UTF-8", xml_declaration=True)
