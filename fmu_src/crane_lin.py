@@ -1,10 +1,13 @@
 """crane_lin.fmu: the linear crane, a taut string stepped exactly, as an FMI 2.0 slave."""
 
 from chaincrane.linear import LinearCrane
-from crane_slave import CraneSlave
+from crane_slave import CraneSlave, hold_namespace
 
 
 class crane_lin(CraneSlave):
     """Overhead crane with a flexible chain, linear (Maourane & Szabo 2020, section 2.2)."""
 
     model_class = LinearCrane
+
+
+hold_namespace(globals())

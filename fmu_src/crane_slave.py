@@ -8,7 +8,9 @@ log line, and the next fmi2DoStep a fmi2Discard with the state unchanged:
 
 from __future__ import annotations
 
+import ctypes
 import json
+import sys
 from hashlib import sha256
 from math import isfinite, nan
 from typing import Any
@@ -32,6 +34,16 @@ STATE_MAGIC = b"chaincrane state 1\n"
 TIME_TOLERANCE = 1e-9  # of the time reached: hosts add up their steps with round-off
 
 
+def hold_namespace(namespace: dict[str, Any]) -> None:
+    """Called by a slave's module with its globals(): gives back a reference that pythonfmu takes.
+
+    On each instantiation the pythonfmu 0.7.0 wrapper executes the slave's file in its module's
+    namespace and then releases that namespace, which it had only borrowed. Without this the
+    namespace is freed under a living module, and the host crashes at a later instantiation.
+    """
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(namespace))
+
+
 class CraneSlave(Fmi2Slave):
     """Base of both cranes' slaves; a subclass says which model it runs."""
 
@@ -49,6 +61,7 @@ class CraneSlave(Fmi2Slave):
         self._time = 0.0
         self._fault: str | None = None
         self._refusal: str | None = None
+        self._last_error: str | None = None
 
     # --- FMI life cycle -----------------------------------------------------------------------
 
@@ -205,7 +218,11 @@ class CraneSlave(Fmi2Slave):
         self._refusal = message
 
     def _log_error(self, message: str) -> None:
+        """One line in the FMI log; on stderr too, since pythonfmu drops it where logging is off."""
         self.log(message, Fmi2Status.error, "logStatusError")
+        if message != self._last_error:
+            print(f"{self.instance_name} ({self.modelName}): {message}", file=sys.stderr)
+        self._last_error = message
 
     # --- state --------------------------------------------------------------------------------
 
