@@ -8,6 +8,7 @@ log line, and the next fmi2DoStep a fmi2Discard with the state unchanged:
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import json
 import sys
@@ -221,7 +222,8 @@ class CraneSlave(Fmi2Slave):
         """One line in the FMI log; on stderr too, since pythonfmu drops it where logging is off."""
         self.log(message, Fmi2Status.error, "logStatusError")
         if message != self._last_error:
-            print(f"{self.instance_name} ({self.modelName}): {message}", file=sys.stderr)
+            with contextlib.suppress(OSError, ValueError):  # a host may have closed stderr
+                print(f"{self.instance_name} ({self.modelName}): {message}", file=sys.stderr)
         self._last_error = message
 
     # --- state --------------------------------------------------------------------------------

@@ -164,4 +164,5 @@ def model_description(model: str, sources: str, date: str, tool: str) -> bytes:
         variables.append(_variable_element(variable, reference))
     root.append(_model_structure(model))
     indent(root)
-    return tostring(root, encoding="UTF-8", xml_declaration=True)
+    xml: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
+    return xml

@@ -74,7 +74,7 @@ class NonlinearCrane(CraneModel):
             ledger=Ledger(start=energy),
             energy=energy,
             largest_energy=energy,
-            trolley_fx=float(-tension[0] * d[0, 0] / length[0]),
+            trolley_fx=0.0 - float(tension[0] * d[0, 0] / length[0]),
             tension=tension,
         )
 

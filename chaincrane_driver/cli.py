@@ -1,0 +1,180 @@
+"""The command line: chaincrane run, figures, check."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from . import compare, plots, scenario
+from .errors import UserError
+from .scenario import Run, Scenario
+from .simulate import Table, describe, progress_bar, read_table, simulate_all, write_table
+
+PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
+
+
+def run_all(one: Scenario, fmus: Path) -> dict[str, Table]:
+    """Simulate every run of a scenario."""
+    jobs = [one.job(run, fmus / run.fmu) for run in one.runs]
+    tables = simulate_all(jobs, one.name)
+    return {run.name: table for run, table in zip(one.runs, tables, strict=True)}
+
+
+def command_run(options: argparse.Namespace) -> int:
+    """Run scenarios: results as CSV, a table of differences, a picture."""
+    for folder in options.scenario:
+        one = scenario.load(folder)
+        results = run_all(one, options.fmus)
+        out = options.out / one.name
+        for name, table in results.items():
+            write_table(out / f"{name}.csv", table)
+        print(f"{one.title} ({one.name})\n\n{compare.comparison_table(one, results)}\n")
+        pictures = plots.comparison(one, results, out / "comparison")
+        print(f"written: {out}/*.csv, {', '.join(str(path) for path in pictures)}\n")
+    return 0
+
+
+def command_figures(options: argparse.Namespace) -> int:
+    """Draw the paper's Figs. 4 to 7 from the FMUs, with the comparison in numbers."""
+    panels = []
+    for label, name in PAPER:
+        one = scenario.load(options.scenarios / name)
+        results = run_all(one, options.fmus)
+        panels.append((label, one, results))
+        print(f"{one.title}\n\n{compare.comparison_table(one, results)}\n")
+    drawings = [
+        ("fig5_payload_absolute", "payload.x", "Absolute motion of the payload"),
+        ("fig6_payload_relative", "payload.x_rel", "Motion of the payload relative to the trolley"),
+        ("fig7_middle_relative", "chain.mid_x_rel", "Relative motion of the chain's middle point"),
+    ]
+    with progress_bar(total=1 + len(drawings), desc="figures") as bar:
+        written = plots.shape_figure(
+            panels,
+            plots.SHAPE_TIMES,
+            "Position and shape of the chain (what the paper's Fig. 4 shows)",
+            options.out / "fig4_shapes",
+        )
+        bar.update()
+        for number, (stem, signal, title) in enumerate(drawings, start=5):
+            title = f"{title} (what the paper's Fig. {number} shows)"
+            written += plots.motion_figure(panels, signal, title, options.out / stem)
+            bar.update()
+    print("written: " + ", ".join(str(path) for path in written))
+    return 0
+
+
+def command_check(options: argparse.Namespace) -> int:
+    """Compare every run with its frozen reference; 1 where an output changed."""
+    scenarios = [scenario.load(folder) for folder in options.scenario] or scenario.find(
+        options.scenarios
+    )
+    stand_in = _stand_in(options.fmu)
+    checked = [
+        (one, run)
+        for one in scenarios
+        for run in one.runs
+        if stand_in is None or stand_in.startswith(Path(run.fmu).stem)
+    ]
+    if not checked:
+        raise UserError(f"{options.fmu}: no scenario runs a model named like {stand_in!r}")
+    jobs = [one.job(run, options.fmu or options.fmus / run.fmu) for one, run in checked]
+    results = simulate_all(jobs, "check")
+    failed = 0
+    for (one, run), result in zip(checked, results, strict=True):
+        if options.update:
+            write_table(one.reference(run), compare.reference_rows(one, result), digits=12)
+        elif not _check_run(one, run, result):
+            failed += 1
+    if options.update:
+        print(f"{len(checked)} references written below {options.scenarios}")
+    else:
+        print(f"{len(checked) - failed} runs as their references, {failed} not")
+    return 1 if failed else 0
+
+
+def _stand_in(fmu: Path | None) -> str | None:
+    """Model name of the FMU that takes the place of the scenarios' own, crane_nl_native say."""
+    return None if fmu is None else str(describe(fmu).modelName)
+
+
+def _check_run(one: Scenario, run: Run, result: Table) -> bool:
+    """Print what a run's result has to say against its reference; True where they agree."""
+    name, path = f"{one.name}, {run.label}", one.reference(run)
+    if not path.exists():
+        print(f"{name}: has no reference; make one with --update")
+        return False
+    findings = compare.check(one, run, result, read_table(path))
+    print(f"{name}: {'DIFFERS' if findings else 'ok'}")
+    for finding in findings:
+        print(f"    {finding}")
+    return not findings
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line's grammar."""
+    top = argparse.ArgumentParser(
+        prog="chaincrane",
+        description="Drive the cranes' FMUs with FMPy: compare, draw, check.",
+        epilog="examples:\n  chaincrane run scenarios/paper_heavy\n  chaincrane figures\n"
+        "  chaincrane check --fmu some_other_crane.fmu",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = top.add_subparsers(metavar="COMMAND", required=True)
+
+    def command(name: str, action: object, example: str) -> argparse.ArgumentParser:
+        text = (action.__doc__ or "").strip()
+        sub = commands.add_parser(
+            name,
+            help=text.splitlines()[0],
+            description=text,
+            epilog=f"example: {example}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        sub.set_defaults(action=action)
+        sub.add_argument(
+            "--fmus", type=Path, default=Path(), metavar="DIR", help="where the FMUs are (here)"
+        )
+        return sub
+
+    def scenarios(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument(
+            "--scenarios",
+            type=Path,
+            default=Path("scenarios"),
+            metavar="DIR",
+            help="where the scenarios are (scenarios)",
+        )
+
+    run = command("run", command_run, "chaincrane run scenarios/paper_heavy")
+    run.add_argument("scenario", type=Path, nargs="+", help="a scenario's folder")
+    run.add_argument("--out", type=Path, default=Path("results"), help="output folder (results)")
+
+    figures = command("figures", command_figures, "chaincrane figures --out figures")
+    scenarios(figures)
+    figures.add_argument("--out", type=Path, default=Path("figures"), help="folder (figures)")
+
+    check = command("check", command_check, "chaincrane check --fmu crane_nl_native.fmu")
+    scenarios(check)
+    check.add_argument("scenario", type=Path, nargs="*", help="scenario folders (all)")
+    check.add_argument("--fmu", type=Path, help="check this FMU, which has the same interface")
+    check.add_argument("--update", action="store_true", help="rewrite the references, on purpose")
+    return top
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point of the command; errors that a user can mend are one line."""
+    options = parser().parse_args(arguments)
+    try:
+        return int(options.action(options))
+    except UserError as error:
+        print(f"chaincrane: {error}", file=sys.stderr)
+    except OSError as error:
+        print(f"chaincrane: {error.filename}: {error.strerror}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("chaincrane: stopped", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

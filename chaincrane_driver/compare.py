@@ -1,0 +1,170 @@
+"""Differences: between models of one scenario, and between a result and its reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import UserError
+from .scenario import Run, Scenario, read_toml
+from .simulate import Table
+
+COST = ("solver.steps", "solver.iterations")  # what a run costs, not what it gives
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far one run's signal is from the first run's."""
+
+    signal: str
+    rms: float
+    largest: float
+    amplitude: float  # largest absolute value of the first run's signal
+
+    @property
+    def rms_percent(self) -> float:
+        """RMS difference in per cent of the amplitude."""
+        return 100.0 * self.rms / self.amplitude if self.amplitude else float("nan")
+
+    @property
+    def largest_percent(self) -> float:
+        """Largest difference in per cent of the amplitude."""
+        return 100.0 * self.largest / self.amplitude if self.amplitude else float("nan")
+
+
+def difference(truth: Table, other: Table, signal: str) -> Difference:
+    """Difference of ``signal`` between two runs on the same times."""
+    gap = other[signal] - truth[signal]
+    return Difference(
+        signal,
+        float(np.sqrt(np.mean(gap**2))),
+        float(np.max(np.abs(gap))),
+        float(np.max(np.abs(truth[signal]))),
+    )
+
+
+def comparison_table(scenario: Scenario, results: dict[str, Table]) -> str:
+    """RMS and largest difference to the first run, for each signal looked at, as Markdown."""
+    first, *others = scenario.runs
+    header = ("signal", f"against {first.label}", "RMS", "largest", "RMS", "largest")
+    rows = []
+    for signal in scenario.look_at:
+        for run in others:
+            gap = difference(results[first.name], results[run.name], signal)
+            rows.append(
+                (
+                    signal,
+                    run.label,
+                    f"{1e3 * gap.rms:.2f} mm",
+                    f"{1e3 * gap.largest:.2f} mm",
+                    f"{gap.rms_percent:.2f} %",
+                    f"{gap.largest_percent:.2f} %",
+                )
+            )
+    return markdown_table(header, rows)
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table whose columns line up."""
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+
+    def line(cells: Sequence[str]) -> str:
+        return "| " + " | ".join(c.ljust(w) for c, w in zip(cells, widths, strict=True)) + " |"
+
+    rule = ["-" * width for width in widths]
+    return "\n".join([line(header), line(rule), *map(line, rows)])
+
+
+def reference_rows(scenario: Scenario, result: Table) -> Table:
+    """The rows and signals of a result that are kept as reference."""
+    places = result["time"] / scenario.reference_interval
+    kept = result[np.abs(places - np.round(places)) < 1e-6]
+    assert kept.dtype.names is not None
+    names = [name for name in kept.dtype.names if name not in COST]
+    table = np.zeros(len(kept), dtype=[(name, float) for name in names])
+    for name in names:
+        table[name] = kept[name]
+    return table
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What a signal may differ from its reference by, and why."""
+
+    absolute: float
+    reason: str
+
+
+def tolerances(scenario: Scenario) -> dict[str, Tolerance]:
+    """Tolerances by pattern of signal names: the common file's, overridden by the scenario's."""
+    common = scenario.folder.parent / "tolerances.toml"
+    rules: dict[str, Any] = read_toml(common) if common.exists() else {}
+    rules = rules | scenario.tolerance
+    try:
+        return {
+            pattern: Tolerance(float(rule["absolute"]), str(rule["reason"]))
+            for pattern, rule in rules.items()
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{common}: a tolerance needs 'absolute' and 'reason': {error}") from error
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A signal that is not as its reference."""
+
+    signal: str
+    largest: float
+    when: float  # s
+    first: float  # s, when it first left the tolerance
+    tolerance: Tolerance
+
+    def __str__(self) -> str:
+        return (
+            f"{self.signal}: off by {self.largest:.3g} at t = {self.when:g} s, beyond"
+            f" {self.tolerance.absolute:.3g} ({self.tolerance.reason}) from t = {self.first:g} s"
+        )
+
+
+def check(scenario: Scenario, run: Run, result: Table, reference: Table) -> list[Finding]:
+    """Compare a result with its reference, signal by signal; an empty list is good news."""
+    path = scenario.reference(run)
+    rows = reference_rows(scenario, result)
+    if len(rows) != len(reference) or np.abs(rows["time"] - reference["time"]).max() > 1e-9:
+        raise UserError(f"{path}: its times are not the scenario's; renew it with --update")
+    rules = tolerances(scenario)
+    assert reference.dtype.names is not None and rows.dtype.names is not None
+    missing = [name for name in reference.dtype.names if name not in rows.dtype.names]
+    if missing:
+        raise UserError(f"{path}: the FMU has no output {missing[0]!r}")
+    findings = []
+    for name in reference.dtype.names[1:]:
+        tolerance = _tolerance(rules, name, path)
+        gap = np.abs(rows[name] - reference[name])
+        outside = ~(gap <= tolerance.absolute)  # not a number is outside
+        if outside.any():
+            worst = int(np.argmax(np.where(np.isnan(gap), np.inf, gap)))
+            time = rows["time"]
+            findings.append(
+                Finding(
+                    name,
+                    float(gap[worst]),
+                    float(time[worst]),
+                    float(time[np.argmax(outside)]),
+                    tolerance,
+                )
+            )
+    return findings
+
+
+def _tolerance(rules: dict[str, Tolerance], name: str, path: Path) -> Tolerance:
+    """The last rule that fits a signal's name; '*' stands for anything, brackets for themselves."""
+    fitting = [rule for key, rule in rules.items() if fnmatchcase(name, key.replace("[", "[[]"))]
+    if not fitting:
+        raise UserError(f"{path}: no tolerance is given for {name!r}")
+    return fitting[-1]

@@ -1,0 +1,149 @@
+"""Pictures: a scenario's comparison, and the paper's Figs. 4 to 7 with our numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .scenario import Run, Scenario
+from .simulate import Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Colours that stay apart for colour-blind eyes (Okabe & Ito); the truth is black.
+STYLES: tuple[dict[str, Any], ...] = (
+    {"color": "black", "linewidth": 1.6},
+    {"color": "#0072B2", "linewidth": 1.2},
+    {"color": "#D55E00", "linewidth": 1.2, "linestyle": (0, (5, 2))},
+    {"color": "#009E73", "linewidth": 1.0, "linestyle": (0, (1, 1.5))},
+)
+SIGNAL_TITLES = {
+    "payload.x": "payload, absolute: payload.x",
+    "payload.x_rel": "payload, relative to the trolley: payload.x_rel",
+    "chain.mid_x_rel": "middle of the chain, relative: chain.mid_x_rel",
+}
+SHAPE_POINTS = 10
+SHAPE_TIMES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.08, 1.16, 1.24, 1.44, 2.0, 2.1, 2.2, 2.3)
+
+Results = dict[str, Table]
+
+
+def _new(
+    rows: int, columns: int, width: float, height: float, **more: Any
+) -> tuple[Figure, np.ndarray]:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update(
+        {
+            "font.size": 9,
+            "axes.grid": True,
+            "grid.alpha": 0.25,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "svg.hashsalt": "chaincrane",  # the same picture is the same file
+            "svg.fonttype": "none",
+        }
+    )
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(width, height), squeeze=False, layout="constrained", **more
+    )
+    return figure, axes
+
+
+def _save(figure: Figure, stem: Path) -> list[Path]:
+    import matplotlib.pyplot as plt
+
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    paths = [stem.with_suffix(".png"), stem.with_suffix(".svg")]
+    figure.savefig(paths[0], dpi=200)
+    figure.savefig(paths[1], metadata={"Date": None})
+    plt.close(figure)
+    return paths
+
+
+def _curves(axes: Axes, runs: tuple[Run, ...], results: Results, signal: str) -> None:
+    for run, style in zip(runs, STYLES, strict=False):
+        table = results[run.name]
+        axes.plot(table["time"], 1e3 * table[signal], label=run.label, **style)
+    axes.set_title(SIGNAL_TITLES.get(signal, signal), loc="left", fontsize=9)
+    axes.set_ylabel("mm")
+    axes.margins(x=0)
+
+
+def comparison(scenario: Scenario, results: Results, stem: Path) -> list[Path]:
+    """Each signal looked at, of all runs, and below it their differences to the first run."""
+    count = len(scenario.look_at)
+    figure, axes = _new(2, count, 5.2 * count, 5.0, sharex=True, height_ratios=(2, 1))
+    truth = results[scenario.runs[0].name]
+    for column, signal in enumerate(scenario.look_at):
+        top, bottom = axes[0, column], axes[1, column]
+        _curves(top, scenario.runs, results, signal)
+        for run, style in list(zip(scenario.runs, STYLES, strict=False))[1:]:
+            gap = results[run.name][signal] - truth[signal]
+            bottom.plot(truth["time"], 1e3 * gap, **style)
+        bottom.set_title(f"difference to: {scenario.runs[0].label}", loc="left", fontsize=9)
+        bottom.set_ylabel("mm")
+        bottom.set_xlabel("time, s")
+    figure.suptitle(scenario.title)
+    _legend(figure, axes[0, 0])
+    return _save(figure, stem)
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+
+
+def motion_figure(
+    panels: list[tuple[str, Scenario, Results]], signal: str, title: str, stem: Path
+) -> list[Path]:
+    """One signal, a panel for each payload (Figs. 5 to 7): the linear cranes on the nonlinear."""
+    figure, axes = _new(1, len(panels), 4.8 * len(panels), 3.1)
+    for place, (name, scenario, results) in enumerate(panels):
+        runs = tuple(run for run in scenario.runs if run.name != "massless")
+        panel = axes[0, place]
+        _curves(panel, runs, results, signal)
+        panel.set_title(f"{'ab'[place]}) {name}", loc="left", fontsize=9)
+        panel.set_xlabel("time, s")
+    figure.suptitle(title)
+    _legend(figure, axes[0, 0])
+    return _save(figure, stem)
+
+
+def shape_figure(
+    panels: list[tuple[str, Scenario, Results]], times: tuple[float, ...], title: str, stem: Path
+) -> list[Path]:
+    """Position and shape of the chain at some times (Fig. 4), nonlinear and linear side by side."""
+    import matplotlib
+
+    figure, axes = _new(len(panels), 2, 9.0, 3.6 * len(panels), sharex=True, sharey=True)
+    colours = matplotlib.colormaps["viridis"]
+    norm = matplotlib.colors.Normalize(min(times), max(times))
+    for row, (name, scenario, results) in enumerate(panels):
+        for column, run in enumerate(scenario.runs[:2]):
+            panel, table = axes[row, column], results[run.name]
+            for time in times:
+                at = table[int(np.argmin(np.abs(table["time"] - time)))]
+                x = [at["trolley.x"]] + [at[f"chain.x[{i}]"] for i in range(1, SHAPE_POINTS + 1)]
+                y = [0.0] + [at[f"chain.y[{i}]"] for i in range(1, SHAPE_POINTS + 1)]
+                colour = colours(norm(time))
+                panel.plot(x, y, color=colour, linewidth=1.1)
+                panel.plot(x[-1], y[-1], "o", color=colour, markersize=4)
+                panel.plot(x[0], y[0], "s", color=colour, markersize=3)
+            panel.set_aspect("equal")
+            panel.set_title(f"{'abcd'[2 * row + column]}) {name}, {run.label}", loc="left", size=9)
+            panel.set_xlabel("x, m")
+        axes[row, 0].set_ylabel("y, m")
+    bar = figure.colorbar(
+        matplotlib.cm.ScalarMappable(norm, colours), ax=axes, shrink=0.6, pad=0.02
+    )
+    bar.set_label("time, s")
+    figure.suptitle(title)
+    return _save(figure, stem)

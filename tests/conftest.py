@@ -1,0 +1,60 @@
+"""Shared by all rungs of the ladder: the FMUs, built once, and fresh processes to run them in."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))  # build_fmu.py stands beside the packages, not in one
+
+from build_fmu import build  # noqa: E402
+
+STOP_AT = 1.0  # s, when the paper's trolley stops
+SPEED = 0.8  # m/s, until then
+PAYLOADS = {"heavy": 0.42, "light": 0.07}  # kg
+
+
+@pytest.fixture(scope="session")
+def fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of crane_nl.fmu and crane_lin.fmu."""
+    folder = tmp_path_factory.mktemp("fmus")
+    for model in ("crane_nl", "crane_lin"):
+        build(model, folder)
+    return folder
+
+
+def paper_motion() -> np.ndarray:
+    """The paper's trolley motion as FMPy's input table: 0.8 m/s for a second, then a stop."""
+    rows = [(0.0, SPEED), (STOP_AT, SPEED), (STOP_AT, 0.0), (4.0, 0.0)]
+    return np.array(rows, dtype=[("time", float), ("trolley.v_cmd", float)])
+
+
+def in_fresh_process(function: Callable[..., Any], *arguments: Any, check: bool = True) -> Any:
+    """Call a self-contained function in a new Python process; arguments and result as JSON.
+
+    With ``check`` off the completed process is returned, whatever its end.
+    """
+    source = textwrap.dedent(inspect.getsource(function))
+    call = f"{function.__name__}(*json.loads({json.dumps(json.dumps(arguments))}))"
+    script = f"import json, os, sys\n{source}\nprint('\\n' + json.dumps({call}), flush=True)\n"
+    script += "os._exit(0)\n"
+    done = subprocess.run(
+        [sys.executable, "-X", "faulthandler", "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    if not check:
+        return done
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
