@@ -33,17 +33,24 @@ def test_difference_falls_as_the_third_power_of_the_amplitude() -> None:
 
 
 def test_a_small_push_moves_both_alike() -> None:
+    """Every signal, within 0.1 % of its own largest value: the nonlinear crane's time error.
+
+    Its trolley.fx is the mean of the last internal step, half a millisecond old: within 1 %.
+    """
     settings = Crane(damping=Damping(air=0.3)), Initial(0.0), Numerics()
-    linear, nonlinear = LinearCrane(*settings), NonlinearCrane(*settings)
+    cranes = LinearCrane(*settings), NonlinearCrane(*settings)
+    names = ["payload.x", "payload.vx", "chain.mid_x_rel", "chain.top_angle", "trolley.fx"]
+    names += ["energy.total", "energy.dissipated"]
+    seen: list[list[list[float]]] = [[], []]
     for i in range(200):
-        force = 1e-3 if i < 40 else 0.0
-        for crane in (linear, nonlinear):
-            crane.step(5e-3, payload_fx=force)
-    a, b = linear.outputs(), nonlinear.outputs()
-    for name in ("payload.x", "payload.vx", "chain.mid_x_rel", "chain.top_angle", "trolley.fx"):
-        assert abs(a[name] - b[name]) < 2e-3 * abs(a[name]), name
-    for name in ("energy.total", "energy.dissipated"):
-        assert abs(a[name] - b[name]) < 5e-3 * abs(a[name]), name
+        for crane, rows in zip(cranes, seen, strict=True):
+            crane.step(5e-3, payload_fx=1e-3 if i < 40 else 0.0)
+            out = crane.outputs()
+            rows.append([out[name] for name in names])
+    linear, nonlinear = np.array(seen[0]), np.array(seen[1])
+    gap = np.abs(linear - nonlinear).max(axis=0) / np.abs(linear).max(axis=0)
+    allowed = [1e-2 if name == "trolley.fx" else 1e-3 for name in names]
+    assert np.all(gap < allowed), dict(zip(names, gap, strict=True))
 
 
 def test_a_small_jump_of_the_trolley_moves_both_alike() -> None:

@@ -139,7 +139,8 @@ OUTPUTS = (
     _output(
         "trolley.fx",
         "N",
-        "horizontal force that the drive exerts on the chain, without the impulses of jumps",
+        "horizontal force that the drive exerts on the chain, without the impulses of jumps;"
+        " nonlinear: mean of the last internal step",
     ),
     _output("payload.x", "m", "horizontal position, absolute"),
     _output("payload.y", "m", "height above the trolley's rail, so negative"),
@@ -149,8 +150,16 @@ OUTPUTS = (
     _output("payload.sway_angle", "rad", "of the line from trolley to payload"),
     _output("chain.mid_x_rel", "m", "the chain's middle point, relative to the trolley"),
     _output("chain.top_angle", "rad", "of the chain at the trolley: what a rope-angle sensor sees"),
-    _output("chain.tension_top", "N", "tension of the chain at the trolley"),
-    _output("chain.tension_min", "N", "smallest tension in the chain; below 0 it would be slack"),
+    _output(
+        "chain.tension_top",
+        "N",
+        "tension of the chain at the trolley; nonlinear: mean of the last internal step",
+    ),
+    _output(
+        "chain.tension_min",
+        "N",
+        "smallest tension in the chain, likewise; below 0 it would be slack",
+    ),
     *(
         _output(f"chain.x[{i}]", "m", f"material point at {i}/10 of the chain, absolute")
         for i in range(1, MATERIAL_POINTS + 1)

@@ -1,0 +1,195 @@
+"""Rung 7, the driver and the scenarios. References: our own frozen output, and broken copies."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from chaincrane_driver import scenario
+from chaincrane_driver.compare import check, difference, reference_rows
+from chaincrane_driver.errors import UserError
+from chaincrane_driver.simulate import Job, read_table, simulate_all, write_table
+
+SCENARIOS = ROOT / "scenarios"
+NAMES = [
+    "paper_heavy",
+    "paper_heavy_from_rest",
+    "paper_light",
+    "paper_light_from_rest",
+    "payload_push",
+    "smooth_travel",
+]
+
+
+def chaincrane(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own."""
+    command = [sys.executable, "-m", "chaincrane_driver.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
+
+
+def one_line_error(done: subprocess.CompletedProcess[str], *parts: str) -> None:
+    assert done.returncode == 2, done.stdout + done.stderr
+    lines = done.stderr.strip().splitlines()
+    ours = [line for line in lines if line.startswith("chaincrane: ")]
+    assert len(ours) == 1, done.stderr
+    assert "Traceback" not in done.stderr + done.stdout
+    for part in parts:
+        assert part in ours[0], ours[0]
+
+
+def test_every_scenario_is_as_its_reference(fmus: Path) -> None:
+    done = chaincrane("check", "--fmus", fmus, "--scenarios", SCENARIOS)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "24 runs as their references, 0 not" in done.stdout
+    for name in NAMES:
+        assert name in done.stdout
+
+
+def test_check_sees_a_changed_output(fmus: Path, tmp_path: Path) -> None:
+    """A payload 1e-4 heavier: found, with how much and when; from another FMU's file."""
+    copy = tmp_path / "scenarios" / "payload_push"
+    shutil.copytree(SCENARIOS / "payload_push", copy)
+    shutil.copy(SCENARIOS / "tolerances.toml", tmp_path / "scenarios")
+    text = (copy / "scenario.toml").read_text()
+    (copy / "scenario.toml").write_text(text.replace("0.42", "0.420042"))
+    done = chaincrane("check", "--fmu", fmus / "crane_nl.fmu", "--scenarios", copy.parent)
+    assert done.returncode == 1
+    assert "payload.x_rel: off by" in done.stdout
+    assert "at t = " in done.stdout
+    assert "linear, 2 elements" not in done.stdout  # --fmu stands in for its own kind alone
+
+
+def test_update_makes_references_that_pass(fmus: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "scenarios" / "payload_push"
+    shutil.copytree(SCENARIOS / "payload_push", copy, ignore=shutil.ignore_patterns("*.csv"))
+    shutil.copy(SCENARIOS / "payload_push" / "input.csv", copy)
+    shutil.copy(SCENARIOS / "tolerances.toml", copy.parent)
+    options = ("check", "--fmus", fmus, "--scenarios", copy.parent)
+    assert "has no reference" in chaincrane(*options).stdout
+    assert chaincrane(*options, "--update").returncode == 0
+    assert chaincrane(*options).returncode == 0
+
+
+def test_a_nan_is_a_difference() -> None:
+    one = scenario.load(SCENARIOS / "payload_push")
+    reference = read_table(one.reference(one.runs[0]))
+    broken = np.zeros(len(reference), dtype=reference.dtype)
+    for name in reference.dtype.names or ():
+        broken[name] = reference[name]
+    broken["payload.x"][7] = np.nan
+    (finding,) = check(one, one.runs[0], broken, reference)
+    assert finding.signal == "payload.x"
+    assert finding.first == pytest.approx(reference["time"][7])
+
+
+def test_run_writes_results_table_and_pictures(fmus: Path, tmp_path: Path) -> None:
+    folder = SCENARIOS / "payload_push"
+    done = chaincrane("run", folder, "--fmus", fmus, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "| payload.x_rel   | linear, 2 elements" in done.stdout
+    written = {path.name for path in (tmp_path / "payload_push").iterdir()}
+    assert written >= {"nonlinear.csv", "linear_2.csv", "comparison.png", "comparison.svg"}
+    rows = read_table(tmp_path / "payload_push" / "nonlinear.csv")
+    assert len(rows) == 801  # the jump at 0.2 s falls on a regular point
+
+
+def test_figures(fmus: Path, tmp_path: Path) -> None:
+    done = chaincrane("figures", "--fmus", fmus, "--scenarios", SCENARIOS, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    for stem in ("fig4_shapes", "fig5_payload_absolute", "fig6_payload_relative"):
+        for suffix in (".png", ".svg"):
+            assert (tmp_path / (stem + suffix)).stat().st_size > 10_000
+    assert "Light payload" in done.stdout
+
+
+def test_difference_of_two_runs() -> None:
+    kind = [("time", float), ("x", float)]
+    truth = np.array([(0, 1.0), (1, -2.0)], dtype=kind)
+    other = np.array([(0, 1.3), (1, -2.4)], dtype=kind)
+    gap = difference(truth, other, "x")
+    assert gap.rms == pytest.approx(np.sqrt(0.5 * (0.09 + 0.16)))
+    assert gap.largest_percent == pytest.approx(20.0)
+
+
+def edited(tmp_path: Path, file: str, old: str, new: str) -> Path:
+    """A copy of a scenario with one thing wrong."""
+    copy = tmp_path / "paper_heavy"
+    shutil.copytree(SCENARIOS / "paper_heavy", copy)
+    text = (copy / file).read_text()
+    assert old in text
+    (copy / file).write_text(text.replace(old, new, 1))
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "parts"),
+    [
+        ("input.csv", "trolley.v_cmd", "trolley.v_cmdd", ["'trolley.v_cmdd' is not an input"]),
+        ("input.csv", "1,0.8", "1,abc", ["row 3", "trolley.v_cmd", "'abc'"]),
+        ("input.csv", "1,0.8", "1,nan", ["row 3", "'nan'"]),
+        ("input.csv", "1,0.8", "1", ["row 3", "1 values for 2 columns"]),
+        ("input.csv", "4,0", "0.5,0", ["time goes backwards"]),
+        ("input.csv", "time,", "t,", ["'time' first"]),
+        ("scenario.toml", "stop_time", "stop_tim", ["'stop_time' is missing"]),
+        ("scenario.toml", "0.005", "-0.005", ["output_interval"]),
+        ("scenario.toml", "[experiment]", "[experiment", ["not valid TOML"]),
+        ("scenario.toml", '"payload.mass" = 0.42', '"payload.mas" = 0.42', ["'payload.mas'"]),
+        ("scenario.toml", "0.42", "-0.42", ["payload.mass = -0.42 is not allowed", "above 0"]),
+        ("scenario.toml", "crane_nl.fmu", "crane_no.fmu", ["crane_no.fmu", "build_fmu.py"]),
+        ("scenario.toml", '"input.csv"', '"inputs.csv"', ["inputs.csv", "No such file"]),
+    ],
+)
+def test_errors_are_one_clear_line(
+    fmus: Path, tmp_path: Path, file: str, old: str, new: str, parts: list[str]
+) -> None:
+    folder = edited(tmp_path, file, old, new)
+    one_line_error(chaincrane("run", folder, "--fmus", fmus, "--out", tmp_path), *parts)
+
+
+def test_a_file_that_is_no_fmu(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.fmu"
+    bad.write_text("no zip file")
+    one_line_error(chaincrane("check", "--fmu", bad, "--scenarios", SCENARIOS), "not a valid FMU")
+
+
+def test_an_fmu_that_crashes_is_one_line(fmus: Path, tmp_path: Path) -> None:
+    """Its binary is cut short: the worker dies or fails, the driver says so."""
+    import zipfile
+
+    broken = tmp_path / "crane_nl.fmu"
+    with zipfile.ZipFile(fmus / "crane_nl.fmu") as source, zipfile.ZipFile(broken, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            target.writestr(name, content[:5000] if name.startswith("binaries") else content)
+    with pytest.raises(UserError, match=r"crane_nl\.fmu"):
+        simulate_all([Job(broken, {}, None, 0.1, 0.01)], "broken")
+
+
+def test_help_has_examples() -> None:
+    for command in ([], ["run"], ["figures"], ["check"]):
+        done = chaincrane(*command, "--help")
+        assert done.returncode == 0
+        assert "example" in done.stdout
+
+
+def test_tables_survive_a_file(tmp_path: Path) -> None:
+    table = np.array([(0.0, 1 / 3), (0.1, -1e-300)], dtype=[("time", float), ("x[1]", float)])
+    write_table(tmp_path / "t.csv", table, digits=17)
+    np.testing.assert_array_equal(read_table(tmp_path / "t.csv"), table)
+
+
+def test_reference_rows_leave_the_cost_out() -> None:
+    one = scenario.load(SCENARIOS / "payload_push")
+    kind = [("time", float), ("payload.x", float), ("solver.steps", np.int32)]
+    rows = np.array([(0.005 * i, i, 5) for i in range(9)], dtype=kind)
+    kept = reference_rows(one, rows)
+    assert kept.dtype.names == ("time", "payload.x")
+    np.testing.assert_allclose(kept["time"], [0.0, 0.02, 0.04])
+
+
+def test_all_scenarios_are_there() -> None:
+    assert [one.name for one in scenario.find(SCENARIOS)] == NAMES

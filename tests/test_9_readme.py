@@ -1,0 +1,119 @@
+"""The README: its commands, its tables, its numbers."""
+
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+from chaincrane.interface import VARIABLES
+from chaincrane_driver import cli, scenario
+from chaincrane_driver.compare import difference
+
+README = (ROOT / "README.md").read_text()
+EQUATIONS = (ROOT / "fmu_src" / "documentation" / "EQUATIONS.md").read_text()
+
+
+def rows(text: str, columns: int) -> list[list[str]]:
+    """The rows of all tables with so many columns, headers and rules left out."""
+    cells = [[c.strip() for c in line.strip("|").split("|")] for line in text.splitlines()]
+    tables = [row for row in cells if len(row) == columns]
+    return [row for row in tables if not set("".join(row)) <= set("- ")]
+
+
+def commands() -> list[str]:
+    return [block.strip() for block in re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)]
+
+
+def test_there_are_two_commands_and_ci_runs_the_second() -> None:
+    first, second = commands()
+    assert first.endswith("build_fmu.py && .venv/bin/chaincrane figures")
+    assert second.endswith("-m pytest")
+    chosen = subprocess.run(
+        ["grep", "-m1", "pytest$", str(ROOT / "README.md")], capture_output=True, text=True
+    )
+    assert chosen.stdout.strip() == second
+    assert "grep -m1 'pytest$' README.md" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_the_main_job_runs_from_anywhere(tmp_path: Path) -> None:
+    """What the first command does once it has installed: build here, draw here."""
+    build = [sys.executable, str(ROOT / "build_fmu.py")]
+    draw = [sys.executable, "-m", "chaincrane_driver.cli", "figures"]
+    draw += ["--scenarios", str(ROOT / "scenarios")]
+    for command in (build, draw):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "figures").glob("fig*"))) == 8
+
+
+def test_the_python_example_runs(fmus: Path) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=fmus, capture_output=True, text=True, timeout=120
+    )
+    assert -0.3 < float(done.stdout.splitlines()[-1]) < 0.3, done.stderr
+
+
+def test_the_interface_table_is_the_interface() -> None:
+    listed = {row[0]: row for row in rows(README, 5)}
+    for variable in VARIABLES:
+        name = re.sub(r"\[\d+\]", "[i]", variable.name)
+        row = listed[name]
+        assert row[1].split()[0] == variable.causality
+        assert row[2] == (variable.unit or "-")
+        assert row[3] == ("" if variable.start is None else str(variable.start))
+    assert len(listed) == 1 + len(VARIABLES) - 18  # its header; nine of ten points left out twice
+
+
+def test_the_comparison_table_has_our_numbers(fmus: Path) -> None:
+    results = {}
+    for name in ("paper_heavy", "paper_light"):
+        one = scenario.load(ROOT / "scenarios" / name)
+        results[name] = one, cli.run_all(one, fmus)
+    table = {(row[0], row[1]): row[2:] for row in rows(README, 6)}
+    checked = 0
+    for place, (one, tables) in enumerate(results.values()):
+        truth, *others = one.runs
+        for signal in one.look_at:
+            for run in others:
+                gap = difference(tables[truth.name], tables[run.name], signal)
+                cells = table[signal, run.label][2 * place : 2 * place + 2]
+                assert cells == [
+                    f"{1e3 * gap.rms:.2f} mm, {gap.rms_percent:.2f} %",
+                    f"{1e3 * gap.largest:.2f} mm, {gap.largest_percent:.2f} %",
+                ]
+                checked += 1
+    assert checked == 12
+
+
+def test_scenarios_are_listed() -> None:
+    for one in scenario.find(ROOT / "scenarios"):
+        assert f"`{one.name}`" in README
+
+
+def test_every_equation_has_its_function_and_test() -> None:
+    tests = "".join(path.read_text() for path in (ROOT / "tests").glob("test_*.py"))
+    found = 0
+    for _, _, functions, test in rows(EQUATIONS, 4):
+        if functions == "function":
+            continue
+        assert f"def {test.strip('`')}(" in tests, test
+        for function in functions.replace("`", "").split(", "):
+            module, *path = function.split(".")
+            place = importlib.import_module(f"chaincrane.{module}")
+            for part in path:
+                place = getattr(place, part)
+            found += 1
+    assert found >= 17
+
+
+def test_no_binary_is_committed() -> None:
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if listed.returncode:
+        pytest.skip("not a git checkout")
+    for name in listed.stdout.splitlines():
+        assert not name.endswith((".fmu", ".so", ".dll", ".dylib", ".pyc", ".ssp")), name
