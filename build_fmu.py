@@ -36,8 +36,10 @@ def content_hash(sources: dict[str, bytes]) -> str:
     import pythonfmu
 
     digest = sha256(pythonfmu.__version__.encode())
-    described = {"model_description.py": (SOURCES / "model_description.py").read_bytes()}
-    for name, content in sorted((sources | described).items()):
+    described = [SOURCES / "model_description.py", SOURCES / "icon.py"]
+    described += sorted((SOURCES / "documentation").iterdir())
+    texts = {file.relative_to(SOURCES).as_posix(): file.read_bytes() for file in described}
+    for name, content in sorted((sources | texts).items()):
         digest.update(f"{name}\0{len(content)}\0".encode())
         digest.update(content)
     return digest.hexdigest()
@@ -57,15 +59,16 @@ def stage(sources: dict[str, bytes], digest: str, folder: Path) -> None:
         target.write_text(text)
 
 
-def build(model: str, dest: Path) -> Path:
-    """Build one FMU into the folder ``dest``; returns its path."""
+def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Path:
+    """Build one FMU into the folder ``dest``, from the tree's sources or others; its path."""
     sys.path.insert(0, str(SOURCES))
     from pythonfmu import __version__
     from pythonfmu.builder import FmuBuilder
 
-    from model_description import model_description
+    import icon
+    import model_description
 
-    sources = read_sources(model)
+    sources = sources or read_sources(model)
     digest = content_hash(sources)
     tag = digest[:12]
     epoch = max(EARLIEST, int(os.environ.get("SOURCE_DATE_EPOCH", EARLIEST)))
@@ -81,9 +84,17 @@ def build(model: str, dest: Path) -> Path:
         )
         with zipfile.ZipFile(raw) as archive:
             entries = {name: archive.read(name) for name in archive.namelist()}
-    entries["modelDescription.xml"] = model_description(
-        model, digest, date.strftime("%Y-%m-%dT%H:%M:%SZ"), f"chaincrane, pythonfmu {__version__}"
+    tool = f"chaincrane, pythonfmu {__version__}"
+    stamp = date.strftime("%Y-%m-%dT%H:%M:%SZ")
+    entries["modelDescription.xml"] = model_description.model_description(
+        model, digest, stamp, tool
     )
+    entries["model.png"] = icon.png(icon.draw())
+    for file in sorted((SOURCES / "documentation").iterdir()):
+        entries[f"documentation/{file.name}"] = file.read_bytes()
+    page = entries["documentation/index.html"].decode()
+    filled = model_description.documentation(model, digest, page)
+    entries["documentation/index.html"] = filled.encode()
     dest.mkdir(parents=True, exist_ok=True)
     fmu = dest / f"{model}.fmu"
     write_archive(fmu, entries, date)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from html import escape
+from string import Template
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from chaincrane.build_info import VERSION
@@ -124,6 +126,26 @@ def _model_structure(model: str) -> Element:
     return structure
 
 
+def documentation(model: str, sources: str, template: str) -> str:
+    """The FMU's index.html: ``template`` with the model's name, version and interface filled in."""
+    rows = []
+    for variable in VARIABLES:
+        start = "" if variable.start is None else str(variable.start)
+        cells = variable.name, variable.causality, variable.unit or "", start, variable.meaning
+        rows.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
+    return Template(template).substitute(
+        model=model,
+        description=escape(DESCRIPTIONS[model]),
+        version=version(sources),
+        interface="\n".join(rows),
+    )
+
+
+def version(sources: str) -> str:
+    """The version with the hash of the sources that the FMU was built from."""
+    return f"{VERSION}+{sources[:12]}"
+
+
 def model_description(model: str, sources: str, date: str, tool: str) -> bytes:
     """The XML of ``model`` (crane_nl or crane_lin), built by ``tool`` from ``sources`` (a hash)."""
     root = Element(
@@ -134,7 +156,7 @@ def model_description(model: str, sources: str, date: str, tool: str) -> bytes:
             "guid": f"{{{sources}}}",
             "description": DESCRIPTIONS[model],
             "author": "the chaincrane authors",
-            "version": f"{VERSION}+{sources[:12]}",
+            "version": version(sources),
             "copyright": "Copyright 2026 the chaincrane authors",
             "license": "MIT",
             "generationTool": tool,
