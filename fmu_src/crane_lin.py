@@ -1,7 +1,7 @@
 """crane_lin.fmu: the linear crane, a taut string stepped exactly, as an FMI 2.0 slave."""
 
 from chaincrane.linear import LinearCrane
-from crane_slave import CraneSlave, hold_namespace
+from crane_slave import CraneSlave, mend_import
 
 
 class crane_lin(CraneSlave):
@@ -10,4 +10,4 @@ class crane_lin(CraneSlave):
     model_class = LinearCrane
 
 
-hold_namespace(globals())
+mend_import(globals())

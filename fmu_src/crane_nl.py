@@ -1,7 +1,7 @@
 """crane_nl.fmu: the nonlinear crane, a chain of truss elements, as an FMI 2.0 slave."""
 
 from chaincrane.nonlinear import NonlinearCrane
-from crane_slave import CraneSlave, hold_namespace
+from crane_slave import CraneSlave, mend_import
 
 
 class crane_nl(CraneSlave):
@@ -10,4 +10,4 @@ class crane_nl(CraneSlave):
     model_class = NonlinearCrane
 
 
-hold_namespace(globals())
+mend_import(globals())

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import json
+import os
 import sys
 from hashlib import sha256
 from math import isfinite, nan
@@ -35,14 +36,19 @@ STATE_MAGIC = b"chaincrane state 1\n"
 TIME_TOLERANCE = 1e-9  # of the time reached: hosts add up their steps with round-off
 
 
-def hold_namespace(namespace: dict[str, Any]) -> None:
-    """Called by a slave's module with its globals(): gives back a reference that pythonfmu takes.
+def mend_import(namespace: dict[str, Any]) -> None:
+    """Called by a slave's module with its globals(): mends what pythonfmu does to the process.
 
-    On each instantiation the pythonfmu 0.7.0 wrapper executes the slave's file in its module's
-    namespace and then releases that namespace, which it had only borrowed. Without this the
-    namespace is freed under a living module, and the host crashes at a later instantiation.
+    On each instantiation the wrapper of pythonfmu 0.7.0 puts the FMU's resources on sys.path,
+    executes the slave's file in its module's namespace, and then releases that namespace, which it
+    had only borrowed. Left alone, the namespace is freed under a living module, and the host
+    crashes at a later instantiation; and sys.path grows by one entry each time.
     """
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(namespace))
+    resources = sys.path[0] if sys.path else ""
+    ours = ("slavemodule.txt", f"{namespace['__name__']}.py")
+    if all(os.path.exists(os.path.join(resources, name)) for name in ours):
+        del sys.path[0]
 
 
 class CraneSlave(Fmi2Slave):

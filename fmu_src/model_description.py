@@ -38,27 +38,31 @@ _SPEED = ("initial.speed",)
 def initial_dependencies(model: str, output: str) -> tuple[str, ...]:
     """Parameters that an output depends on before the first step."""
     linear = model == "crane_lin"
-    points = output.startswith("chain.x[") or output == "chain.mid_x_rel"
+    if output in ("chain.x[10]", "chain.y[10]"):  # the payload
+        output = output.replace("chain.", "payload.").removesuffix("[10]")
+    inside = (*_SHAPE, "chain.elements")  # of a point between the chain's ends
+    stretch = tuple(name for name in _SHAPE if name != "chain.length")
     if output in ("trolley.v", "payload.vx"):
         return _SPEED
     if output == "trolley.fx":
         return _WEIGHT + _SWAY
     if output.startswith("chain.tension"):
         return _WEIGHT if linear else _WEIGHT + _SWAY
-    if output == "payload.y" or output.startswith("chain.y["):
-        heights = _SHAPE if output == "payload.y" else (*_SHAPE, "chain.elements")
-        return heights if linear else heights + _SWAY
-    if output in ("payload.x", "payload.x_rel") or points:
-        if linear:
-            return ("chain.length", *_SWAY)
-        return (*_SHAPE, "chain.elements", *_SWAY) if points else _SHAPE + _SWAY
+    if output == "payload.y":
+        return _SHAPE if linear else _SHAPE + _SWAY
+    if output.startswith("chain.y["):
+        return inside if linear else inside + _SWAY
+    if output in ("payload.x", "payload.x_rel"):
+        return ("chain.length", *_SWAY) if linear else _SHAPE + _SWAY
+    if output.startswith("chain.x[") or output == "chain.mid_x_rel":
+        return ("chain.length", *_SWAY) if linear else inside + _SWAY
     if output == "payload.sway_angle":
-        return _SHAPE + _SWAY if linear else _SWAY
+        return stretch + _SWAY if linear else _SWAY
     if output == "chain.top_angle":
-        return (*_SHAPE, "chain.elements", *_SWAY) if linear else _SWAY
+        return (*stretch, "chain.elements", *_SWAY) if linear else _SWAY
     if output == "energy.total":
-        stretch = () if linear else ("chain.EA", "chain.elements")
-        return ("chain.length", "chain.mass", "payload.mass", "gravity", *stretch, *_SWAY, *_SPEED)
+        elastic = () if linear else ("chain.EA", "chain.elements")
+        return ("chain.length", "chain.mass", "payload.mass", "gravity", *elastic, *_SWAY, *_SPEED)
     return ()  # trolley.x, payload.vy, energy.dissipated, energy.error, solver.*: zero
 
 

@@ -46,10 +46,12 @@ def in_fresh_process(function: Callable[..., Any], *arguments: Any, check: bool 
     """
     source = textwrap.dedent(inspect.getsource(function))
     call = f"{function.__name__}(*json.loads({json.dumps(json.dumps(arguments))}))"
-    script = f"import json, os, sys\n{source}\nprint('\\n' + json.dumps({call}), flush=True)\n"
+    script = "from __future__ import annotations\n"
+    script += f"import json, os, sys\n{source}\nprint('\\n' + json.dumps({call}), flush=True)\n"
     script += "os._exit(0)\n"
     done = subprocess.run(
         [sys.executable, "-X", "faulthandler", "-c", script],
+        cwd=Path(__file__).parent,  # so that it can import slave_host
         capture_output=True,
         text=True,
         timeout=600,
