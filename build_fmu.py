@@ -20,7 +20,7 @@ from pathlib import Path
 
 SOURCES = Path(__file__).resolve().parent / "fmu_src"
 MODELS = ("crane_nl", "crane_lin")
-PACKAGE, SLAVE = "chaincrane", "crane_slave"
+PACKAGE, SLAVE = "chaincrane", "fmi_slave"
 EARLIEST = 315532800  # 1980-01-01, the first day that a zip file can name
 
 

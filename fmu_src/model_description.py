@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from html import escape
 from string import Template
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from chaincrane import interface
 from chaincrane.build_info import VERSION
-from chaincrane.interface import NAMES, OUTPUTS, UNITS, VARIABLES, Variable
+from chaincrane.variables import UNITS, Variable
 
-DESCRIPTIONS = {
-    "crane_nl": "Overhead crane with a flexible chain: nonlinear, truss finite elements"
-    " (Maourane & Szabo 2020, section 2.1)",
-    "crane_lin": "Overhead crane with a flexible chain: linear, a taut string stepped exactly"
-    " (Maourane & Szabo 2020, section 2.2)",
-}
 LOG_CATEGORIES = {
     "logStatusWarning": "fmi2Warning: something to know of, the result stands",
     "logStatusDiscard": "fmi2Discard: a step was not done",
@@ -35,9 +33,8 @@ _SWAY = ("initial.sway_angle",)
 _SPEED = ("initial.speed",)
 
 
-def initial_dependencies(model: str, output: str) -> tuple[str, ...]:
-    """Parameters that an output depends on before the first step."""
-    linear = model == "crane_lin"
+def _crane_dependencies(output: str, linear: bool) -> tuple[str, ...]:
+    """Parameters that a crane's output depends on before the first step."""
     if output in ("chain.x[10]", "chain.y[10]"):  # the payload
         output = output.replace("chain.", "payload.").removesuffix("[10]")
     inside = (*_SHAPE, "chain.elements")  # of a point between the chain's ends
@@ -64,6 +61,36 @@ def initial_dependencies(model: str, output: str) -> tuple[str, ...]:
         elastic = () if linear else ("chain.EA", "chain.elements")
         return ("chain.length", "chain.mass", "payload.mass", "gravity", *elastic, *_SWAY, *_SPEED)
     return ()  # trolley.x, payload.vy, energy.dissipated, energy.error, solver.*: zero
+
+
+@dataclass(frozen=True)
+class Fmu:
+    """What is told of one FMU."""
+
+    description: str
+    variables: tuple[Variable, ...]
+    initial_dependencies: Callable[[str], tuple[str, ...]]  # of an output, on parameters
+
+    @property
+    def outputs(self) -> list[Variable]:
+        """The interface's outputs."""
+        return [variable for variable in self.variables if variable.causality == "output"]
+
+
+FMUS = {
+    "crane_nl": Fmu(
+        "Overhead crane with a flexible chain: nonlinear, truss finite elements"
+        " (Maourane & Szabo 2020, section 2.1)",
+        interface.VARIABLES,
+        partial(_crane_dependencies, linear=False),
+    ),
+    "crane_lin": Fmu(
+        "Overhead crane with a flexible chain: linear, a taut string stepped exactly"
+        " (Maourane & Szabo 2020, section 2.2)",
+        interface.VARIABLES,
+        partial(_crane_dependencies, linear=True),
+    ),
+}
 
 
 def _variable_element(variable: Variable, reference: int) -> Element:
@@ -110,19 +137,21 @@ def _unit_definitions() -> Element:
     return element
 
 
-def _model_structure(model: str) -> Element:
+def _model_structure(fmu: Fmu) -> Element:
     """Outputs and InitialUnknowns with their dependencies; indices count from 1.
 
     A step's inputs act within the step, so no output depends on an input at its own instant.
     """
     structure = Element("ModelStructure")
-    index = {name: str(place) for place, name in enumerate(NAMES, start=1)}
+    index = {
+        name: str(place) for place, name in enumerate((v.name for v in fmu.variables), start=1)
+    }
     outputs = SubElement(structure, "Outputs")
-    for variable in OUTPUTS:
+    for variable in fmu.outputs:
         SubElement(outputs, "Unknown", {"index": index[variable.name], "dependencies": ""})
     unknowns = SubElement(structure, "InitialUnknowns")
-    for variable in OUTPUTS:
-        on = sorted(int(index[name]) for name in initial_dependencies(model, variable.name))
+    for variable in fmu.outputs:
+        on = sorted(int(index[name]) for name in fmu.initial_dependencies(variable.name))
         dependencies = " ".join(str(place) for place in on)
         SubElement(
             unknowns, "Unknown", {"index": index[variable.name], "dependencies": dependencies}
@@ -132,14 +161,14 @@ def _model_structure(model: str) -> Element:
 
 def documentation(model: str, sources: str, template: str) -> str:
     """The FMU's index.html: ``template`` with the model's name, version and interface filled in."""
-    rows = []
-    for variable in VARIABLES:
+    fmu, rows = FMUS[model], []
+    for variable in fmu.variables:
         start = "" if variable.start is None else str(variable.start)
         cells = variable.name, variable.causality, variable.unit or "", start, variable.meaning
         rows.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
     return Template(template).substitute(
         model=model,
-        description=escape(DESCRIPTIONS[model]),
+        description=escape(fmu.description),
         version=version(sources),
         interface="\n".join(rows),
     )
@@ -151,14 +180,15 @@ def version(sources: str) -> str:
 
 
 def model_description(model: str, sources: str, date: str, tool: str) -> bytes:
-    """The XML of ``model`` (crane_nl or crane_lin), built by ``tool`` from ``sources`` (a hash)."""
+    """The XML of ``model``, a key of FMUS, built by ``tool`` from ``sources`` (a hash)."""
+    fmu = FMUS[model]
     root = Element(
         "fmiModelDescription",
         {
             "fmiVersion": "2.0",
             "modelName": model,
             "guid": f"{{{sources}}}",
-            "description": DESCRIPTIONS[model],
+            "description": fmu.description,
             "author": "the chaincrane authors",
             "version": version(sources),
             "copyright": "Copyright 2026 the chaincrane authors",
@@ -186,9 +216,9 @@ def model_description(model: str, sources: str, date: str, tool: str) -> bytes:
         SubElement(categories, "Category", {"name": name, "description": meaning})
     SubElement(root, "DefaultExperiment", DEFAULT_EXPERIMENT)
     variables = SubElement(root, "ModelVariables")
-    for reference, variable in enumerate(VARIABLES):
+    for reference, variable in enumerate(fmu.variables):
         variables.append(_variable_element(variable, reference))
-    root.append(_model_structure(model))
+    root.append(_model_structure(fmu))
     indent(root)
     xml: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
     return xml

@@ -160,6 +160,10 @@ class CraneModel(ABC):
     def _posture(self) -> Posture:
         """Positions and forces, relative to the trolley."""
 
+    def output_values(self) -> list[float]:
+        """All outputs in the interface's order, in SI units."""
+        return list(self.outputs().values())
+
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
         posture, trolley, ledger = self._posture(), self.trolley, self.ledger

@@ -1,4 +1,4 @@
-"""The FMI 2.0 slave of both cranes: it maps FMI names to the model, and lets no exception out.
+"""The FMI 2.0 slave of our FMUs: it maps FMI names to a model, and lets no exception out.
 
 An exception that leaves a slave ends in fmi2Fatal, and hosts crash on it. So every error becomes a
 log line, and the next fmi2DoStep a fmi2Discard with the state unchanged:
@@ -15,23 +15,15 @@ import os
 import sys
 from hashlib import sha256
 from math import isfinite, nan
-from typing import Any
+from typing import Any, Protocol
 
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
 from chaincrane.build_info import SOURCES
-from chaincrane.crane import CraneModel
 from chaincrane.errors import BadState, BadValue, CraneError
-from chaincrane.interface import INPUTS, OUTPUTS, VARIABLES, settings
+from chaincrane.variables import Variable
 
-KINDS = ("Real", "Integer", "String", "Boolean")
-PARAMETER_REFERENCES = {
-    reference: variable.name
-    for reference, variable in enumerate(VARIABLES)
-    if variable.causality == "parameter"
-}
-FIRST_OUTPUT = len(VARIABLES) - len(OUTPUTS)
 STATE_MAGIC = b"chaincrane state 1\n"
 TIME_TOLERANCE = 1e-9  # of the time reached: hosts add up their steps with round-off
 
@@ -51,18 +43,54 @@ def mend_import(namespace: dict[str, Any]) -> None:
         del sys.path[0]
 
 
-class CraneSlave(Fmi2Slave):
-    """Base of both cranes' slaves; a subclass says which model it runs."""
+class Model(Protocol):
+    """What a slave runs."""
 
-    model_class: type[CraneModel]
+    def step(self, h: float, *inputs: float) -> None:
+        """Advance by ``h`` s under held inputs; raises CraneError, the state unchanged."""
+
+    def output_values(self) -> list[Any]:
+        """Outputs in the interface's order."""
+
+    def save(self) -> bytes:
+        """The whole state, bit for bit."""
+
+    def load(self, state: bytes) -> None:
+        """Restore what :meth:`save` gave."""
+
+
+class FmiSlave(Fmi2Slave):
+    """Base of our slaves; a subclass says which interface it has and which model it runs.
+
+    A variable's value reference is its place in ``variables``: inputs, parameters, then outputs.
+    """
+
+    variables: tuple[Variable, ...]
+
+    @staticmethod
+    def make_model(parameters: dict[str, Any]) -> Model:
+        """The model for parameter values by name; raises CraneError for what is not allowed."""
+        raise NotImplementedError
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.modelName = type(self).__name__
-        self._values: dict[str, dict[int, Any]] = {kind: {} for kind in KINDS}
-        for reference, variable in enumerate(VARIABLES):
-            self._values[variable.kind][reference] = variable.start
-        self._model: CraneModel | None = None
+        places = list(enumerate(self.variables))
+        self._inputs, self._parameters, outputs = (
+            [place for place, variable in places if variable.causality == causality]
+            for causality in ("input", "parameter", "output")
+        )
+        self._first_output = outputs[0]
+        self._of_kind = {
+            kind: frozenset(place for place, variable in places if variable.kind == kind)
+            for kind in ("Real", "Integer", "String", "Boolean")
+        }
+        self._no_outputs = [
+            nan if variable.kind == "Real" else 0
+            for variable in self.variables[self._first_output :]
+        ]
+        self._values = [variable.start for variable in self.variables]
+        self._model: Model | None = None
         self._observed = False
         self._phase = "instantiated"
         self._time = 0.0
@@ -123,20 +151,16 @@ class CraneSlave(Fmi2Slave):
         if not abs(current_time - self._time) <= TIME_TOLERANCE * max(1.0, abs(self._time)):
             allowed = f"the time reached, {self._time!r} s"
             raise BadValue("current communication point", current_time, allowed)
-        real = self._values["Real"]
-        self._model.step(step_size, *(real[i] for i in range(len(INPUTS))))
+        self._model.step(step_size, *(self._values[place] for place in self._inputs))
         self._time = current_time + step_size
         self._observed = False
 
     def _build(self) -> None:
         """Make the model from the parameters; a bad one becomes a fault."""
-        values = {
-            name: self._values[VARIABLES[reference].kind][reference]
-            for reference, name in PARAMETER_REFERENCES.items()
-        }
+        values = {self.variables[place].name: self._values[place] for place in self._parameters}
         self._observed = False
         try:
-            self._model = self.model_class(*settings(values))
+            self._model = self.make_model(values)
         except Exception as error:
             self._model = None
             known = isinstance(error, CraneError)
@@ -178,30 +202,33 @@ class CraneSlave(Fmi2Slave):
         self._set("Boolean", vrs, values)
 
     def _get(self, kind: str, vrs: list[int], missing: Any) -> list[Any]:
+        if not self._of_kind[kind].issuperset(vrs):
+            strange = next(vr for vr in vrs if vr not in self._of_kind[kind])
+            self._refuse(f"no {kind} variable has the value reference {strange}")
+            return [missing] * len(vrs)
         if not self._observed:
             self._observe()
-        try:
-            values = self._values[kind]
-            return [values[vr] for vr in vrs]
-        except KeyError as error:
-            self._refuse(f"no {kind} variable has the value reference {error.args[0]}")
-            return [missing] * len(vrs)
+        values = self._values
+        return [values[vr] for vr in vrs]
 
     def _set(self, kind: str, vrs: list[int], values: list[Any]) -> None:
         for vr, value in zip(vrs, values, strict=False):
-            if vr not in self._values[kind]:
+            if vr not in self._of_kind[kind]:
                 self._refuse(f"no {kind} variable has the value reference {vr}")
-            elif vr >= FIRST_OUTPUT:
-                self._refuse(f"{VARIABLES[vr].name} is an output: it cannot be set")
-            elif vr in PARAMETER_REFERENCES and self._phase in ("stepping", "terminated"):
+                continue
+            variable = self.variables[vr]
+            if variable.causality == "output":
+                self._refuse(f"{variable.name} is an output: it cannot be set")
+            elif variable.causality == "input":
+                self._values[vr] = value
+            elif self._phase in ("stepping", "terminated"):
                 self._refuse(
-                    f"{VARIABLES[vr].name} is a parameter: it is fixed when initialisation ends,"
+                    f"{variable.name} is a parameter: it is fixed when initialisation ends,"
                     f" and cannot be set to {value!r} now"
                 )
             else:
-                self._values[kind][vr] = value
-                if vr in PARAMETER_REFERENCES:
-                    self._model, self._observed = None, False
+                self._values[vr] = value
+                self._model, self._observed = None, False
 
     def _observe(self) -> None:
         """Read the model's outputs; without a model they are not a number, and no zeros."""
@@ -210,12 +237,8 @@ class CraneSlave(Fmi2Slave):
             if self._phase != "stepping":
                 self._fault = None  # start values may still be mended
         self._observed = True
-        names = [variable.name for variable in OUTPUTS]
-        values: dict[str, Any] = {} if self._model is None else self._model.outputs()
-        for reference, name in enumerate(names, start=FIRST_OUTPUT):
-            kind = VARIABLES[reference].kind
-            missing = nan if kind == "Real" else 0
-            self._values[kind][reference] = values.get(name, missing)
+        seen = self._no_outputs if self._model is None else self._model.output_values()
+        self._values[self._first_output :] = seen
 
     # --- errors -------------------------------------------------------------------------------
 
@@ -243,10 +266,7 @@ class CraneSlave(Fmi2Slave):
             "time": self._time,
             "fault": self._fault,
             "refusal": self._refusal,
-            "values": {
-                kind: [self._values[kind][vr] for vr in sorted(self._values[kind])]
-                for kind in KINDS
-            },
+            "values": self._values[: self._first_output],
         }
         model = b"" if self._model is None else self._model.save()
         body = json.dumps(head).encode() + b"\n" + model
@@ -273,11 +293,7 @@ class CraneSlave(Fmi2Slave):
                 f"the saved state is of {head['model']}, sources {head['sources']};"
                 f" this is {self.modelName}, sources {SOURCES}"
             )
-        values = {
-            kind: dict(zip(sorted(self._values[kind]), head["values"][kind], strict=True))
-            for kind in KINDS
-        }
-        self._values = values
+        self._values[: self._first_output] = head["values"]
         self._phase, self._time = head["phase"], head["time"]
         self._model, self._observed, self._refusal = None, False, head["refusal"]
         self._fault = None
