@@ -4,49 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from math import atan2, ceil, isfinite
+from math import atan2, ceil
 
 import numpy as np
 
 from .chain import Array, DiscreteChain, discretise, interpolation
-from .errors import BadState, BadValue
-from .parameters import Crane, Initial, Numerics, check, check_number
-from .trolley import Trolley
-
-MATERIAL_POINTS = 10  # chain.x[i], chain.y[i]
-MAX_INTERNAL_STEPS = 10_000_000
-
-
-@dataclass(frozen=True)
-class Ledger:
-    """Energy that went in and out since the start, J."""
-
-    start: float = 0.0
-    trolley: float = 0.0
-    payload: float = 0.0
-    dissipated: float = 0.0
-
-    def booked(self, trolley: float, payload: float, dissipated: float) -> Ledger:
-        """The ledger after one more step."""
-        return Ledger(
-            self.start,
-            self.trolley + trolley,
-            self.payload + payload,
-            self.dissipated + dissipated,
-        )
-
-    @property
-    def expected(self) -> float:
-        """Mechanical energy that must be there now."""
-        return self.start + self.trolley + self.payload - self.dissipated
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Cost of the last communication step."""
-
-    steps: int = 0
-    iterations: int = 0
+from .errors import BadState
+from .ledger import Effort, Ledger
+from .parameters import MATERIAL_POINTS, Crane, Initial, Numerics, check
+from .trolley import Trolley, checked_move
 
 
 @dataclass(frozen=True)
@@ -91,18 +57,7 @@ class CraneModel(ABC):
         Raises BadValue for a value that is not allowed, NotConverged or EnergyBalanceBroken where
         the motion cannot be had; the crane is then as it was before the call.
         """
-        check_number("trolley.v_cmd", v_cmd)
-        check_number("trolley.a_cmd", a_cmd)
-        check_number("payload.fx", payload_fx)
-        check_number("step size", h, "a finite number above 0, s", test=lambda v: v > 0)
-        if h > MAX_INTERNAL_STEPS * self.numerics.max_step:
-            allowed = f"at most {MAX_INTERNAL_STEPS} internal steps of solver.max_step"
-            raise BadValue("step size", h, allowed)
-        after = self.trolley.after(h, v_cmd, a_cmd)
-        if not (isfinite(after.x) and isfinite(after.v)):
-            raise BadValue(
-                "trolley.v_cmd", v_cmd, "a command that keeps the trolley's motion finite"
-            )
+        after = checked_move(self.trolley, self.numerics.max_step, h, v_cmd, a_cmd, payload_fx)
         start = replace(self.trolley, v=self.trolley.commanded(v_cmd))
         self._advance(h, start, a_cmd, payload_fx)
         self.trolley = after

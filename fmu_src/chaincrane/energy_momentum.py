@@ -121,9 +121,7 @@ class EnergyMomentum:
                 return self._result(motion, load, h, r1, iteration)
             if not size < crane.chain.length:
                 break
-        raise NotConverged(
-            f"the iteration for dynamic equilibrium did not converge in a step of {h:.3g} s"
-        )
+        raise NotConverged.in_step(h)
 
     def _result(self, motion: Motion, load: Load, h: float, r1: Array, n: int) -> StepResult:
         """Velocities and the step's energy terms, once the positions are known."""

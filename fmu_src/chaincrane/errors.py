@@ -23,9 +23,35 @@ class BadValue(CraneError):
 class NotConverged(CraneError):
     """The iteration for dynamic equilibrium did not converge in a step."""
 
+    @classmethod
+    def in_step(cls, h: float) -> NotConverged:
+        """The error of a step of ``h`` seconds."""
+        return cls(f"the iteration for dynamic equilibrium did not converge in a step of {h:.3g} s")
+
+    @classmethod
+    def singular(cls, h: float) -> NotConverged:
+        """The error of a step of ``h`` seconds whose effective stiffness cannot be factored."""
+        return cls(f"the effective stiffness is singular in a step of {h:.3g} s")
+
 
 class EnergyBalanceBroken(CraneError):
     """A step converged, but energy appeared from or vanished into nothing."""
+
+    @classmethod
+    def in_step(cls, h: float, off: float, scale: float, allowed: float) -> EnergyBalanceBroken:
+        """A step of ``h`` seconds is off by ``off`` J, where ``allowed`` of ``scale`` J may be."""
+        return cls(
+            f"a step of {h:.3g} s is off its energy balance by {off:.3g} J"
+            f" of {scale:.3g} J; allowed is {allowed:g} of it"
+        )
+
+    @classmethod
+    def since_start(cls, off: float, scale: float, allowed: float) -> EnergyBalanceBroken:
+        """The balance since the start is off by ``off`` J, see :meth:`in_step`."""
+        return cls(
+            f"the energy balance since the start is off by {off:.3g} J"
+            f" of {scale:.3g} J; allowed is {allowed:g} of it"
+        )
 
 
 class BadState(CraneError):

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .crane import MATERIAL_POINTS
 from .parameters import (
+    MATERIAL_POINTS,
     MAX_ELEMENTS,
     SCHEMES,
     Chain,

@@ -21,8 +21,9 @@ from .chain import (
     interpolation,
     mass_times,
 )
-from .crane import MATERIAL_POINTS, CraneModel, Effort, Ledger, Posture
-from .parameters import Crane, Initial, Numerics
+from .crane import CraneModel, Posture
+from .ledger import Effort, Ledger
+from .parameters import MATERIAL_POINTS, Crane, Initial, Numerics
 from .trolley import Trolley
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)

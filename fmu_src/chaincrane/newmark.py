@@ -66,7 +66,7 @@ class Newmark:
         inertia = 4.0 / h**2 + 2.0 / h * damping.air
         factors = banded.Factors(banded.add_tangents(inertia * self._mass, tangent))
         if factors.singular:
-            raise NotConverged(f"the effective stiffness is singular in a step of {h:.3g} s")
+            raise NotConverged.singular(h)
 
         # III-IV. effective load (16) and a first increment (17); V. iteration (18)-(23)
         trolley_v1 = load.trolley_v + h * load.trolley_a
@@ -87,9 +87,7 @@ class Newmark:
                     break
             correction = factors.solve(residual)  # (17), (22)
             increment = increment + correction  # (23)
-        raise NotConverged(
-            f"the iteration for dynamic equilibrium did not converge in a step of {h:.3g} s"
-        )
+        raise NotConverged.in_step(h)
 
     def _applied(self, load: Load, trolley_v: float) -> Array:
         """Weight, payload force, and the trolley's motion as loads, N, (n, 2)."""

@@ -18,9 +18,10 @@ from .chain import (
     potential_energy,
     straight_chain,
 )
-from .crane import CraneModel, Effort, Ledger, Posture
+from .crane import CraneModel, Posture
 from .energy_momentum import EnergyMomentum
 from .errors import EnergyBalanceBroken, NotConverged
+from .ledger import Effort, Ledger
 from .newmark import Newmark
 from .parameters import Crane, Initial, Numerics
 from .scheme import Load, Motion, Scheme, StepResult
@@ -198,15 +199,9 @@ class NonlinearCrane(CraneModel):
         total = energy - ledger.expected
         step = total - (state.energy - state.ledger.expected)
         if not abs(step) <= STEP_ENERGY_TOLERANCE * scale + floor:
-            raise EnergyBalanceBroken(
-                f"a step of {h:.3g} s is off its energy balance by {step:.3g} J"
-                f" of {scale:.3g} J; allowed is {STEP_ENERGY_TOLERANCE:g} of it"
-            )
+            raise EnergyBalanceBroken.in_step(h, step, scale, STEP_ENERGY_TOLERANCE)
         if not abs(total) <= TOTAL_ENERGY_TOLERANCE * scale + floor:
-            raise EnergyBalanceBroken(
-                f"the energy balance since the start is off by {total:.3g} J"
-                f" of {scale:.3g} J; allowed is {TOTAL_ENERGY_TOLERANCE:g} of it"
-            )
+            raise EnergyBalanceBroken.since_start(total, scale, TOTAL_ENERGY_TOLERANCE)
 
     def _save(self) -> Array:
         state, ledger = self._state, self._state.ledger

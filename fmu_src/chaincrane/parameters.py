@@ -14,6 +14,7 @@ from typing import Any
 from .errors import BadValue
 
 MAX_ELEMENTS = 10_000
+MATERIAL_POINTS = 10  # of the chain that are outputs: chain.x[i], chain.y[i]
 SCHEMES = ("energy_momentum", "newmark")
 
 
