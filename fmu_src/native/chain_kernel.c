@@ -14,7 +14,7 @@ static const double AXIAL_DISSIPATION = 0.05;
 static const int EM_MAX_ITERATIONS = 12;
 static const double EM_DISPLACEMENT_TOLERANCE = 1e-9;
 /* newmark.py */
-static const int NEWMARK_MAX_ITERATIONS = 50;
+static const int NEWMARK_MAX_ITERATIONS = 200;
 static const double NEWMARK_DISPLACEMENT_TOLERANCE = 1e-6;
 static const double NEWMARK_FORCE_TOLERANCE = 1e-7;
 /* nonlinear.py */
