@@ -19,6 +19,7 @@ from .chain import (
     DiscreteChain,
     along_elements,
     assemble_force,
+    axial_force,
     kinetic_energy,
     mass_times,
 )
@@ -29,7 +30,10 @@ AXIAL_DISSIPATION = (
     0.05  # chi: the scheme's axial time constant is chi h; damps (1/2-chi)/(1/2+chi)
 )
 MAX_ITERATIONS = 12
-DISPLACEMENT_TOLERANCE = 1e-9  # of the chain's length; Newton's next error is its square
+DISPLACEMENT_TOLERANCE = 1e-8  # of the chain's length; Newton's next error is its square
+DIVERGENCE = 1.5  # a third or later correction that grows by this much is not worth a fourth
+SMALL_TURN = 0.02  # rad; a change of an element's turn up to this much is expected to go on
+LEAST_STRETCH = 0.1  # a correction that leaves less of an element's length is no correction
 
 
 @dataclass(frozen=True)
@@ -62,16 +66,61 @@ def element_force(EA: float, L0: float, viscosity: float, d0: Array, d1: Array) 
     return ElementForce(k[:, None] * middle, tangent, tension)
 
 
-def rotate_elements(d: Array, w: Array, h: float) -> Array:
-    """Predict element vectors (n, 2) after ``h``: each rotates at its rate, its length kept.
+def turned(d: Array, angle: Array, factor: Array) -> Array:
+    """Element vectors (n, 2) turned by about ``angle`` rad and stretched by ``factor``, (n,).
 
-    ``w`` are relative nodal velocities (n, 2). A straight-line guess would stretch a steel element
-    by its rotation squared, which is a force beyond all others; a rotation does not.
+    The turn is 2 atan(angle/2), exact in length: the Cayley map, which is what the scheme itself
+    makes of a steady rotation.
     """
-    dw = along_elements(w)
-    angle = h * (d[:, 0] * dw[:, 1] - d[:, 1] * dw[:, 0]) / (d[:, 0] ** 2 + d[:, 1] ** 2)
-    cos, sin = np.cos(angle), np.sin(angle)
+    t = 0.5 * angle
+    scale = factor / (1.0 + t * t)
+    cos, sin = (1.0 - t * t) * scale, 2.0 * t * scale
     return np.column_stack((cos * d[:, 0] - sin * d[:, 1], sin * d[:, 0] + cos * d[:, 1]))
+
+
+def cross(a: Array, b: Array) -> Array:
+    """a_x b_y - a_y b_x of vectors (n, 2)."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def expected_turn(d: Array, motion: Motion, h: float) -> Array:
+    """Turn of each element expected over ``h``, rad, (n,).
+
+    h omega, and half of what omega gained in as long: but a large gain is that of a wave that the
+    step cannot resolve, whose rate changes sign from step to step.
+    """
+    l2 = d[:, 0] ** 2 + d[:, 1] ** 2
+    turn = h * cross(d, along_elements(motion.w)) / l2
+    if motion.a is None:
+        return turn
+    gain = h * h * cross(d, along_elements(motion.a)) / l2
+    return turn + np.where(np.abs(gain) < SMALL_TURN, 0.5 * gain, 0.0)
+
+
+def expected_stretch(EA: float, L0: float, viscosity: float, d: Array, tension: Array) -> Array:
+    """Stretch factor of each element that would leave its ``tension``, N, as it was, (n,).
+
+    Its length would not do: where a step cannot resolve the axial vibrations, a stiff chain's
+    tension at the step's start is far from its mean over the step, and a wrong tension turns a
+    fine mesh's light nodes anywhere.
+    """
+    length = np.hypot(d[:, 0], d[:, 1])
+    change = tension - axial_force(EA, L0, length)
+    return np.maximum(1.0 + change / ((0.5 * EA / L0 + viscosity) * length), LEAST_STRETCH)
+
+
+def corrected(d: Array, correction: Array) -> Array | None:
+    """Element vectors (n, 2) turned and stretched as a ``correction`` of the nodes (n, 2) asks.
+
+    To first order that adds the correction. But a sum would stretch a turning element by half the
+    turn's square, which in a stiff chain is a force beyond all others. None: one would vanish.
+    """
+    dd = along_elements(correction)
+    l2 = d[:, 0] ** 2 + d[:, 1] ** 2
+    factor = 1.0 + np.einsum("ij,ij->i", d, dd) / l2
+    if not np.all(factor > LEAST_STRETCH):
+        return None
+    return turned(d, cross(d, dd) / l2, factor)
 
 
 class EnergyMomentum:
@@ -82,7 +131,7 @@ class EnergyMomentum:
         self._mass = banded.mass_bands(chain)
 
     def start(self, motion: Motion, load: Load) -> Motion:
-        """The scheme keeps no accelerations: nothing to prepare."""
+        """Nothing to prepare: the mean accelerations of the last step only help to predict."""
         return motion
 
     def step(self, motion: Motion, load: Load, h: float) -> StepResult:
@@ -107,35 +156,44 @@ class EnergyMomentum:
         inertia_bands = inertia * self._mass
 
         d0 = along_elements(motion.r)
-        r1 = np.cumsum(rotate_elements(d0, motion.w, h), axis=0)
+        stretch = expected_stretch(EA, L0, viscosity, d0, motion.tension)
+        d1: Array | None = turned(d0, expected_turn(d0, motion, h), stretch)
+        last = np.inf
         for iteration in range(1, MAX_ITERATIONS + 1):
-            force = element_force(EA, L0, viscosity, d0, along_elements(r1))
+            assert d1 is not None
+            r1 = np.cumsum(d1, axis=0)
+            force = element_force(EA, L0, viscosity, d0, d1)
             change = inertia * (r1 - motion.r) - 2.0 / h * motion.w
             residual = steady - mass_times(chain, change) - assemble_force(force.pull)
             correction = banded.solve(banded.add_tangents(inertia_bands, force.tangent), residual)
             if correction is None:
                 break
-            r1 = r1 + correction
             size = float(np.abs(correction).max())
-            if size <= DISPLACEMENT_TOLERANCE * crane.chain.length:
-                return self._result(motion, load, h, r1, iteration)
-            if not size < crane.chain.length:
+            if not size < crane.chain.length or (iteration > 2 and size > DIVERGENCE * last):
                 break
-        raise NotConverged.in_step(h)
+            d1 = corrected(d1, correction)
+            if d1 is None:
+                break
+            if size <= DISPLACEMENT_TOLERANCE * crane.chain.length:
+                return self._result(motion, load, h, d1, iteration)
+            last = size
+        raise NotConverged.in_step(h, iteration)
 
-    def _result(self, motion: Motion, load: Load, h: float, r1: Array, n: int) -> StepResult:
-        """Velocities and the step's energy terms, once the positions are known."""
+    def _result(self, motion: Motion, load: Load, h: float, d1: Array, n: int) -> StepResult:
+        """Velocities and the step's energy terms, once the element vectors are known."""
         chain, crane = self.chain, self.chain.crane
+        r1 = np.cumsum(d1, axis=0)
         w1 = 2.0 / h * (r1 - motion.r) - motion.w
+        a = (w1 - motion.w) / h
         trolley_v = load.trolley_v + 0.5 * h * load.trolley_a
         trolley_dx = h * trolley_v
         viscosity = crane.chain.EA / chain.L0 * (crane.damping.chain / h + AXIAL_DISSIPATION)
-        d0, d1 = along_elements(motion.r), along_elements(r1)
+        d0 = along_elements(motion.r)
         force = element_force(crane.chain.EA, chain.L0, viscosity, d0, d1)
         air = crane.damping.air
         _, row = chain.node0_mass
         mean_w = (r1 - motion.r) / h
-        node1_a = (w1[0, 0] - motion.w[0, 0]) / h + air * mean_w[0, 0]
+        node1_a = a[0, 0] + air * mean_w[0, 0]
         trolley_fx = (
             row * (load.trolley_a + air * trolley_v)
             + chain.mass_coupling * node1_a
@@ -146,9 +204,8 @@ class EnergyMomentum:
         if air:
             dissipated += 2.0 * air * h * kinetic_energy(chain, mean_w, trolley_v)
         return StepResult(
-            motion=Motion(r1, w1, None),
+            motion=Motion(r1, w1, force.tension, a),
             trolley_fx=float(trolley_fx),
-            tension=force.tension,
             work_trolley=float(trolley_fx) * trolley_dx,
             work_payload=load.payload_fx * (float(r1[-1, 0] - motion.r[-1, 0]) + trolley_dx),
             dissipated=dissipated,

@@ -23,10 +23,16 @@ class BadValue(CraneError):
 class NotConverged(CraneError):
     """The iteration for dynamic equilibrium did not converge in a step."""
 
+    iterations = 0  # spent in vain
+
     @classmethod
-    def in_step(cls, h: float) -> NotConverged:
+    def in_step(cls, h: float, iterations: int = 0) -> NotConverged:
         """The error of a step of ``h`` seconds."""
-        return cls(f"the iteration for dynamic equilibrium did not converge in a step of {h:.3g} s")
+        error = cls(
+            f"the iteration for dynamic equilibrium did not converge in a step of {h:.3g} s"
+        )
+        error.iterations = iterations
+        return error
 
     @classmethod
     def singular(cls, h: float) -> NotConverged:
@@ -36,6 +42,8 @@ class NotConverged(CraneError):
 
 class EnergyBalanceBroken(CraneError):
     """A step converged, but energy appeared from or vanished into nothing."""
+
+    iterations = 0  # spent in vain
 
     @classmethod
     def in_step(cls, h: float, off: float, scale: float, allowed: float) -> EnergyBalanceBroken:

@@ -66,7 +66,7 @@ def library_path() -> str:
 
 def load_library(path: str | None = None) -> Any:
     """The compiled kernel, with its functions' types declared. Raises KernelMissing."""
-    path = path or library_path()
+    path = os.path.abspath(path or library_path())
     try:
         library = ctypes.CDLL(path)
         version = library.chain_version()
@@ -159,7 +159,7 @@ class NativeCrane:
     @property
     def time(self) -> float:
         """Time since the start, s."""
-        return self._state[0]
+        return float(self._state[0])
 
     @property
     def trolley(self) -> Trolley:
@@ -179,7 +179,7 @@ class NativeCrane:
     @property
     def energy(self) -> float:
         """Mechanical energy above the rest position, J."""
-        return self._state[14]
+        return float(self._state[14])
 
     @property
     def motion(self) -> tuple[list[float], list[float]]:

@@ -47,7 +47,7 @@ class Newmark:
         a = banded.solve(self._mass.copy(), out_of_balance)
         if a is None:
             raise NotConverged("the mass matrix is singular")
-        return Motion(motion.r, motion.w, a)
+        return Motion(motion.r, motion.w, motion.tension, a)
 
     def step(self, motion: Motion, load: Load, h: float) -> StepResult:
         """Steps II to VI for one step of ``h`` seconds. Raises NotConverged."""
@@ -82,12 +82,14 @@ class Newmark:
                 moved = float(np.linalg.norm(correction) / np.linalg.norm(r1))
                 unbalanced = float(np.abs(residual).max()) / self._weight
                 if moved <= DISPLACEMENT_TOLERANCE and unbalanced <= FORCE_TOLERANCE:
-                    return self._result(motion, load, h, Motion(r1, w1, a1), iteration)
+                    tension = self._tension(r1, w1)
+                    end = Motion(r1, w1, tension, a1)
+                    return self._result(motion, load, h, end, iteration)
                 if not moved < 1.0:
                     break
             correction = factors.solve(residual)  # (17), (22)
             increment = increment + correction  # (23)
-        raise NotConverged.in_step(h)
+        raise NotConverged.in_step(h, iteration)
 
     def _applied(self, load: Load, trolley_v: float) -> Array:
         """Weight, payload force, and the trolley's motion as loads, N, (n, 2)."""
@@ -105,6 +107,11 @@ class Newmark:
         if air := self.chain.crane.damping.air:
             force += air * mass_times(self.chain, w)
         return force
+
+    def _tension(self, r: Array, w: Array) -> Array:
+        """Axial force of each element, N, (n,)."""
+        d = along_elements(r)
+        return self._axial(d, np.hypot(d[:, 0], d[:, 1]), w)
 
     def _axial(self, d: Array, length: Array, w: Array) -> Array:
         chain = self.chain.crane.chain
@@ -133,12 +140,9 @@ class Newmark:
         trolley_dx = 0.5 * h * (load.trolley_v + trolley_v1)
         before = self.trolley_force(motion, load.trolley_v, load.trolley_a)
         after = self.trolley_force(end, trolley_v1, load.trolley_a)
-        d = along_elements(end.r)
-        length = np.hypot(d[:, 0], d[:, 1])
         return StepResult(
             motion=end,
             trolley_fx=after,
-            tension=self._axial(d, length, end.w),
             work_trolley=0.5 * (before + after) * trolley_dx,
             work_payload=load.payload_fx * (float(end.r[-1, 0] - motion.r[-1, 0]) + trolley_dx),
             dissipated=self._damping_work(motion, load.trolley_v, end, trolley_v1, trolley_dx),

@@ -47,7 +47,6 @@ class NonlinearState:
     energy: float  # J
     largest_energy: float  # J, so far: what errors are measured against
     trolley_fx: float  # N
-    tension: Array  # N, (n,)
 
 
 class NonlinearCrane(CraneModel):
@@ -67,7 +66,7 @@ class NonlinearCrane(CraneModel):
         d = along_elements(r)
         length = np.hypot(d[:, 0], d[:, 1])
         tension = axial_force(self.crane.chain.EA, chain.L0, length)
-        motion = Motion(r, np.zeros_like(r))
+        motion = Motion(r, np.zeros_like(r), tension)
         energy = self._energy(motion, self.trolley.v)
         self._state = NonlinearState(
             motion=motion,
@@ -76,7 +75,6 @@ class NonlinearCrane(CraneModel):
             energy=energy,
             largest_energy=energy,
             trolley_fx=0.0 - float(tension[0] * d[0, 0] / length[0]),
-            tension=tension,
         )
 
     @property
@@ -110,7 +108,7 @@ class NonlinearCrane(CraneModel):
         push = np.zeros_like(state.motion.w)
         push[:, 0] = -self.chain.row_mass * dv
         dw = self._mass.solve(push)
-        motion = Motion(state.motion.r, state.motion.w + dw)
+        motion = Motion(state.motion.r, state.motion.w + dw, state.motion.tension)
         _, row = self.chain.node0_mass
         impulse = row * dv + self.chain.mass_coupling * float(dw[0, 0])
         energy = self._energy(motion, after)
@@ -153,6 +151,7 @@ class NonlinearCrane(CraneModel):
                 state, iterations = self._attempt(state, load, h)
                 effort = Effort(effort.steps + 1, effort.iterations + iterations)
             except (NotConverged, EnergyBalanceBroken) as error:
+                effort = Effort(effort.steps, effort.iterations + error.iterations)
                 if halvings == MAX_HALVINGS:
                     when = self.time + elapsed
                     raise type(error)(f"at t = {when:.6g} s: {error}") from None
@@ -165,12 +164,17 @@ class NonlinearCrane(CraneModel):
         motion = state.motion
         last = state.load
         if last is None or (last.trolley_a, last.payload_fx) != (load.trolley_a, load.payload_fx):
-            motion = Motion(motion.r, motion.w)  # a jump of load: accelerations start anew
+            # a jump of load: accelerations start anew
+            motion = Motion(motion.r, motion.w, motion.tension)
         with np.errstate(over="ignore", invalid="ignore"):  # the checks reject what overflows
             result = self._scheme.step(self._scheme.start(motion, load), load, h)
         ledger = state.ledger.booked(result.work_trolley, result.work_payload, result.dissipated)
         energy = self._energy(result.motion, load.trolley_v + h * load.trolley_a)
-        self._check_energy(state, ledger, energy, h)
+        try:
+            self._check_energy(state, ledger, energy, h)
+        except EnergyBalanceBroken as error:
+            error.iterations = result.iterations
+            raise
         return self._after(state, result, load, ledger, energy), result.iterations
 
     def _after(
@@ -188,7 +192,6 @@ class NonlinearCrane(CraneModel):
             energy=energy,
             largest_energy=max(state.largest_energy, energy),
             trolley_fx=result.trolley_fx,
-            tension=result.tension,
         )
 
     def _check_energy(self, state: NonlinearState, ledger: Ledger, energy: float, h: float) -> None:
@@ -214,7 +217,7 @@ class NonlinearCrane(CraneModel):
         a = np.full_like(motion.r, np.nan) if motion.a is None else motion.a
         scalars = [*booked, *load, state.energy, state.largest_energy, state.trolley_fx]
         nodal = np.concatenate((motion.r.ravel(), motion.w.ravel(), a.ravel()))
-        return np.concatenate((scalars, nodal, state.tension))
+        return np.concatenate((scalars, nodal, motion.tension))
 
     def _load(self, vector: Array) -> None:
         n = self.chain.elements
@@ -222,13 +225,12 @@ class NonlinearCrane(CraneModel):
         numbers = scalars.tolist()
         r, w, a = nodal.reshape(3, n, 2)
         self._state = NonlinearState(
-            motion=Motion(r, w, None if np.isnan(a).any() else a),
+            motion=Motion(r, w, tension, None if np.isnan(a).any() else a),
             load=Load(*numbers[5:8]) if numbers[4] else None,
             ledger=Ledger(*numbers[:4]),
             energy=numbers[8],
             largest_energy=numbers[9],
             trolley_fx=numbers[10],
-            tension=tension,
         )
 
     def _posture(self) -> Posture:
@@ -240,6 +242,6 @@ class NonlinearCrane(CraneModel):
             payload_w=w[-1],
             top_angle=atan2(float(r[0, 0]), -float(r[0, 1])),
             trolley_fx=state.trolley_fx,
-            tension_top=float(state.tension[0]),
-            tension_min=float(state.tension.min()),
+            tension_top=float(state.motion.tension[0]),
+            tension_min=float(state.motion.tension.min()),
         )

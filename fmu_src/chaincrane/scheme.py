@@ -14,7 +14,8 @@ class Motion:
 
     r: Array  # m, (n, 2), positions
     w: Array  # m/s, (n, 2), velocities
-    a: Array | None = None  # m/s2, (n, 2), accelerations, where a scheme carries them
+    tension: Array  # N, (n,)
+    a: Array | None = None  # m/s2, (n, 2), accelerations; None at a start
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,6 @@ class StepResult:
 
     motion: Motion
     trolley_fx: float  # N, what the drive exerts on the chain
-    tension: Array  # N, (n,)
     work_trolley: float  # J
     work_payload: float  # J
     dissipated: float  # J, by damping and by the scheme

@@ -12,7 +12,10 @@
 /* energy_momentum.py */
 static const double AXIAL_DISSIPATION = 0.05;
 static const int EM_MAX_ITERATIONS = 12;
-static const double EM_DISPLACEMENT_TOLERANCE = 1e-9;
+static const double EM_DISPLACEMENT_TOLERANCE = 1e-8;
+static const double DIVERGENCE = 1.5;
+static const double SMALL_TURN = 0.02;
+static const double LEAST_STRETCH = 0.1;
 /* newmark.py */
 static const int NEWMARK_MAX_ITERATIONS = 200;
 static const double NEWMARK_DISPLACEMENT_TOLERANCE = 1e-6;
@@ -69,12 +72,6 @@ typedef struct {
     double tension;
 } ElementForce;
 
-/* A 2x2 block's LU factors with its rows swapped where that makes the pivot larger. */
-typedef struct {
-    double l, u11, u12, u22; /* u11, u22 as reciprocals */
-    int swapped;
-} Pivot;
-
 struct ChainKernel {
     ChainSettings settings;
     int n;
@@ -87,35 +84,41 @@ struct ChainKernel {
     State state, trial;                        /* committed, and during a communication step */
     Vector *r1, *w1, *a1;                      /* end of an internal step */
     double *tension1;
-    Vector *a0, *d0;                           /* start of an internal step */
+    Vector *a0, *d0, *d1;                      /* start of an internal step; element vectors */
     double *l0;
     Vector *unknown;                           /* residual, then correction */
-    Block *tangent, *off, *upper;              /* of the elements; of the matrix */
-    Pivot *pivot;
+    Block *tangent;                            /* of the elements */
+    Block *inverse, *lower, *upper;            /* of the matrix: P_i^-1, B_i, P_i^-1 B_(i+1) */
 };
 
 /* ---- vectors and blocks ---- */
 
-static Vector minus(Vector a, Vector b) { return (Vector){a.x - b.x, a.y - b.y}; }
+static inline Vector minus(Vector a, Vector b) { return (Vector){a.x - b.x, a.y - b.y}; }
 
-static double dot(Vector a, Vector b) { return a.x * b.x + a.y * b.y; }
+static inline Block plus(Block a, Block b) {
+    return (Block){a.xx + b.xx, a.xy + b.xy, a.yx + b.yx, a.yy + b.yy};
+}
 
-static double norm(Vector a) { return sqrt(a.x * a.x + a.y * a.y); }
+static inline double dot(Vector a, Vector b) { return a.x * b.x + a.y * b.y; }
 
-static double larger(double a, double b) { return a > b ? a : b; }
+static inline double cross(Vector a, Vector b) { return a.x * b.y - a.y * b.x; }
+
+static inline double norm(Vector a) { return sqrt(a.x * a.x + a.y * a.y); }
+
+static inline double larger(double a, double b) { return a > b ? a : b; }
 
 /* Element e's difference of a nodal quantity; node 0's is zero. */
-static Vector along(const Vector *nodal, int e) {
+static inline Vector along(const Vector *nodal, int e) {
     return e ? minus(nodal[e], nodal[e - 1]) : nodal[0];
 }
 
 /* ---- chain.py ---- */
 
-static double node_mass(const ChainKernel *k, int i) {
+static inline double node_mass(const ChainKernel *k, int i) {
     return i < k->n - 1 ? k->inner_mass : k->end_mass;
 }
 
-static double row_mass(const ChainKernel *k, int i) {
+static inline double row_mass(const ChainKernel *k, int i) {
     return i < k->n - 1 ? k->inner_row : k->end_row;
 }
 
@@ -151,7 +154,7 @@ static void straight_chain(const ChainKernel *k, double sway_angle, Vector *r) {
 }
 
 /* Row i of M_ff times a nodal quantity, the free nodes' consistent mass (11). */
-static Vector mass_times(const ChainKernel *k, const Vector *nodal, int i) {
+static inline Vector mass_times(const ChainKernel *k, const Vector *nodal, int i) {
     double own = node_mass(k, i);
     Vector product = {own * nodal[i].x, own * nodal[i].y};
     if (i > 0) {
@@ -210,78 +213,77 @@ static void mass_solve(ChainKernel *k, Vector *x) {
     }
 }
 
-/* ---- banded.py: inertia M + elements' tangents, block-tridiagonal, eliminated from the top ---- */
+/* ---- banded.py: inertia M + elements' tangents, block-tridiagonal ---- */
 
-/* LU factors of a 2x2 block with row pivoting; 0 where it is singular or not finite. */
-static int factor_block(Block b, Pivot *p) {
-    p->swapped = fabs(b.yx) > fabs(b.xx);
-    if (p->swapped) b = (Block){b.yx, b.yy, b.xx, b.xy};
-    p->u11 = 1.0 / b.xx;
-    p->l = b.yx * p->u11;
-    p->u12 = b.xy;
-    p->u22 = 1.0 / (b.yy - p->l * b.xy);
-    return isfinite(p->u11) && isfinite(p->u22);
+static inline Vector times(Block b, Vector v) {
+    return (Vector){b.xx * v.x + b.xy * v.y, b.yx * v.x + b.yy * v.y};
 }
 
-static Vector solve_block(const Pivot *p, Vector b) {
-    if (p->swapped) b = (Vector){b.y, b.x};
-    double y = (b.y - p->l * b.x) * p->u22;
-    return (Vector){(b.x - p->u12 * y) * p->u11, y};
+static inline Block product(Block a, Block b) {
+    return (Block){a.xx * b.xx + a.xy * b.yx, a.xx * b.xy + a.xy * b.yy,
+                   a.yx * b.xx + a.yy * b.yx, a.yx * b.xy + a.yy * b.yy};
 }
 
-/* Factors of inertia M + the tangents: P_i = D_i - B_i P_(i-1)^-1 B_i; 0 where singular.
-   Element i couples nodes i-1 and i by B_i = inertia m_c - T_i, and T_i + T_(i+1) is node i's. */
-static int factor(ChainKernel *k, double inertia) {
-    double coupling = inertia * k->coupling;
+/* Row i of the block elimination: P_i = D_i - B_i P_(i-1)^-1 B_i; 0 where P_i is singular.
+
+   B_i = inertia m_c - T_i couples nodes i-1 and i; D_i = inertia m_i + T_i + T_(i+1). Each 2x2
+   block is inverted by Cramer's rule, which is forward stable at that size (Higham, Accuracy and
+   Stability of Numerical Algorithms, 1.10.1). No blocks are swapped: Newton's iteration mends what
+   round-off that costs, and a matrix that is too far from definite ends in a halved step. */
+static inline int factor_node(ChainKernel *k, double inertia, int i) {
     const Block *T = k->tangent;
-    for (int i = 0; i < k->n; i++) {
-        double own = inertia * node_mass(k, i);
-        Block p = {own + T[i].xx, T[i].xy, T[i].yx, own + T[i].yy};
-        if (i < k->n - 1) {
-            p.xx += T[i + 1].xx;
-            p.xy += T[i + 1].xy;
-            p.yx += T[i + 1].yx;
-            p.yy += T[i + 1].yy;
-        }
-        if (i) {
-            Block b = {coupling - T[i].xx, -T[i].xy, -T[i].yx, coupling - T[i].yy};
-            Vector first = solve_block(&k->pivot[i - 1], (Vector){b.xx, b.yx});
-            Vector second = solve_block(&k->pivot[i - 1], (Vector){b.xy, b.yy});
-            p.xx -= b.xx * first.x + b.xy * first.y;
-            p.xy -= b.xx * second.x + b.xy * second.y;
-            p.yx -= b.yx * first.x + b.yy * first.y;
-            p.yy -= b.yx * second.x + b.yy * second.y;
-            k->off[i] = b;
-            k->upper[i - 1] = (Block){first.x, second.x, first.y, second.y};
-        }
-        if (!factor_block(p, &k->pivot[i])) return 0;
+    double own = inertia * node_mass(k, i), coupling = inertia * k->coupling;
+    Block p = {own + T[i].xx, T[i].xy, T[i].yx, own + T[i].yy};
+    if (i < k->n - 1) p = plus(p, T[i + 1]);
+    if (i > 0) {
+        Block b = {coupling - T[i].xx, -T[i].xy, -T[i].yx, coupling - T[i].yy};
+        Block x = product(k->inverse[i - 1], b), bx = product(b, x);
+        k->lower[i] = b;
+        k->upper[i - 1] = x;
+        p = (Block){p.xx - bx.xx, p.xy - bx.xy, p.yx - bx.yx, p.yy - bx.yy};
     }
+    double over = 1.0 / (p.xx * p.yy - p.xy * p.yx);
+    k->inverse[i] = (Block){p.yy * over, -p.xy * over, -p.yx * over, p.xx * over};
+    return isfinite(over);
+}
+
+static void forward_node(const ChainKernel *k, Vector *x, int i) {
+    if (i > 0) x[i] = minus(x[i], times(k->lower[i], x[i - 1]));
+    x[i] = times(k->inverse[i], x[i]);
+}
+
+static void substitute_back(const ChainKernel *k, Vector *x) {
+    for (int i = k->n - 2; i >= 0; i--) x[i] = minus(x[i], times(k->upper[i], x[i + 1]));
+}
+
+/* Factors of inertia M + the tangents, to be kept; 0 where it is singular. */
+static int factor(ChainKernel *k, double inertia) {
+    for (int i = 0; i < k->n; i++)
+        if (!factor_node(k, inertia, i)) return 0;
     return 1;
 }
 
-/* Solve with the factors, in place. */
+/* Solve with the kept factors, in place. */
 static void solve(const ChainKernel *k, Vector *x) {
-    x[0] = solve_block(&k->pivot[0], x[0]);
-    for (int i = 1; i < k->n; i++) {
-        Block b = k->off[i];
-        Vector above = x[i - 1];
-        Vector left = {x[i].x - b.xx * above.x - b.xy * above.y,
-                       x[i].y - b.yx * above.x - b.yy * above.y};
-        x[i] = solve_block(&k->pivot[i], left);
+    for (int i = 0; i < k->n; i++) forward_node(k, x, i);
+    substitute_back(k, x);
+}
+
+/* Factor and solve in one pass, in place; 0 where the matrix is singular. */
+static int factor_and_solve(ChainKernel *k, double inertia, Vector *x) {
+    for (int i = 0; i < k->n; i++) {
+        if (!factor_node(k, inertia, i)) return 0;
+        forward_node(k, x, i);
     }
-    for (int i = k->n - 2; i >= 0; i--) {
-        Block u = k->upper[i];
-        Vector below = x[i + 1];
-        x[i].x -= u.xx * below.x + u.xy * below.y;
-        x[i].y -= u.yx * below.x + u.yy * below.y;
-    }
+    substitute_back(k, x);
+    return 1;
 }
 
 /* ---- energy_momentum.py ---- */
 
 /* pull = k (d0 + d1)/2, k = [EA/L0 (l0 + l1 - 2 L0) + 2 eta (l1 - l0)]/(l0 + l1), eta in N/m. */
-static ElementForce element_force(double axial, double L0, double viscosity, Vector d0, double l0,
-                                  Vector d1) {
+static inline ElementForce element_force(double axial, double L0, double viscosity, Vector d0,
+                                         double l0, Vector d1) {
     ElementForce f;
     double l1 = norm(d1), total = l0 + l1;
     f.tension = axial * 0.5 * ((l0 - L0) + (l1 - L0)) + viscosity * (l1 - l0);
@@ -294,15 +296,32 @@ static ElementForce element_force(double axial, double L0, double viscosity, Vec
     return f;
 }
 
-/* Predict an element's vector after h: it rotates at its rate, its length kept. */
-static Vector rotate_element(Vector d, Vector dw, double h) {
-    double angle = h * (d.x * dw.y - d.y * dw.x) / dot(d, d);
-    double cosine = cos(angle), sine = sin(angle);
+/* An element's vector turned by about ``angle`` and stretched by ``factor``, exact in length:
+   the turn is 2 atan(angle/2), which is what the scheme itself makes of a steady rotation. */
+static inline Vector turned(Vector d, double angle, double factor) {
+    double t = 0.5 * angle, scale = factor / (1.0 + t * t);
+    double cosine = (1.0 - t * t) * scale, sine = 2.0 * t * scale;
     return (Vector){cosine * d.x - sine * d.y, sine * d.x + cosine * d.y};
 }
 
+/* Turn of element e expected over h, rad: its rate and half of what the rate gained in as long. */
+static inline double expected_turn(const ChainKernel *k, const State *s, double h, int e) {
+    Vector d = k->d0[e];
+    double l2 = k->l0[e] * k->l0[e], turn = h * cross(d, along(s->w, e)) / l2;
+    double gain = h * h * cross(d, along(s->a, e)) / l2;
+    return fabs(gain) < SMALL_TURN ? turn + 0.5 * gain : turn; /* a is NaN where not known */
+}
+
+/* Stretch factor of element e that would leave its tension as it was in the last step. */
+static inline double expected_stretch(const ChainKernel *k, const State *s, double viscosity,
+                                      int e) {
+    double change = s->tension[e] - axial_force(k, k->l0[e]);
+    double factor = 1.0 + change / ((0.5 * k->settings.EA / k->L0 + viscosity) * k->l0[e]);
+    return larger(factor, LEAST_STRETCH);
+}
+
 /* Weight, payload force and the trolley's motion as a load on node i, N. */
-static Vector applied(const ChainKernel *k, Load load, double trolley_v, int i) {
+static inline Vector applied(const ChainKernel *k, Load load, double trolley_v, int i) {
     double carried = load.trolley_a + k->settings.damping_air * trolley_v;
     if (i < k->n - 1) return (Vector){-k->inner_row * carried, k->inner_weight};
     return (Vector){load.payload_fx - k->end_row * carried, k->end_weight};
@@ -316,17 +335,17 @@ static void em_result(ChainKernel *k, const State *s, Load load, double h, doubl
     double stretch2 = 0.0, axial = k->settings.EA / k->L0;
     Vector top_pull = {0.0, 0.0};
     for (int i = 0; i < k->n; i++) {
-        Vector d1 = along(k->r1, i);
-        ElementForce f = element_force(axial, k->L0, viscosity, k->d0[i], k->l0[i], d1);
-        double stretch = norm(d1) - k->l0[i];
+        ElementForce f = element_force(axial, k->L0, viscosity, k->d0[i], k->l0[i], k->d1[i]);
+        double stretch = norm(k->d1[i]) - k->l0[i];
         stretch2 += stretch * stretch;
         k->tension1[i] = f.tension;
         if (i == 0) top_pull = f.pull;
         Vector moved = minus(k->r1[i], s->r[i]);
         k->w1[i] = (Vector){2.0 / h * moved.x - s->w[i].x, 2.0 / h * moved.y - s->w[i].y};
+        k->a1[i] = (Vector){(k->w1[i].x - s->w[i].x) / h, (k->w1[i].y - s->w[i].y) / h};
     }
     double mean_w = (k->r1[0].x - s->r[0].x) / h;
-    double node1_a = (k->w1[0].x - s->w[0].x) / h + air * mean_w;
+    double node1_a = k->a1[0].x + air * mean_w;
     double row = 0.5 * k->inner_row;
     result->trolley_fx =
         row * (load.trolley_a + air * trolley_v) + k->coupling * node1_a - top_pull.x;
@@ -343,54 +362,81 @@ static void em_result(ChainKernel *k, const State *s, Load load, double h, doubl
     }
 }
 
+/* Positions r1 from the element vectors d1. */
+static void add_up(const Vector *d1, Vector *r1, int n) {
+    r1[0] = d1[0];
+    for (int e = 1; e < n; e++) r1[e] = (Vector){r1[e - 1].x + d1[e].x, r1[e - 1].y + d1[e].y};
+}
+
+/* Out-of-balance forces of a step that ends with d1, r1, into k->unknown; tangents, too. */
+static void em_residual(ChainKernel *k, const State *s, Load load, double h, double viscosity,
+                        double inertia) {
+    double axial = k->settings.EA / k->L0, trolley_v = load.trolley_v + 0.5 * h * load.trolley_a;
+    Vector *change = k->w1; /* w1 is free until the step is done */
+    for (int i = 0; i < k->n; i++) {
+        Vector moved = minus(k->r1[i], s->r[i]);
+        change[i] = (Vector){inertia * moved.x - 2.0 / h * s->w[i].x,
+                             inertia * moved.y - 2.0 / h * s->w[i].y};
+    }
+    for (int i = 0; i < k->n; i++) {
+        ElementForce f = element_force(axial, k->L0, viscosity, k->d0[i], k->l0[i], k->d1[i]);
+        Vector steady = applied(k, load, trolley_v, i);
+        k->tangent[i] = f.tangent;
+        k->unknown[i] = minus(minus(steady, mass_times(k, change, i)), f.pull);
+        if (i) {
+            k->unknown[i - 1].x += f.pull.x;
+            k->unknown[i - 1].y += f.pull.y;
+        }
+    }
+}
+
+/* Turn and stretch the elements as a correction of the nodes asks; 0 where one would vanish. */
+static int correct(const Vector *correction, Vector *d1, int n) {
+    for (int e = 0; e < n; e++) {
+        Vector d = d1[e], dd = along(correction, e);
+        double over = 1.0 / dot(d, d), factor = 1.0 + dot(d, dd) * over;
+        if (!(factor > LEAST_STRETCH)) return 0;
+        d1[e] = turned(d, cross(d, dd) * over, factor);
+    }
+    return 1;
+}
+
+/* Largest component of a nodal quantity; not a number where one is not. */
+static double size_of(const Vector *nodal, int n) {
+    double size = 0.0;
+    for (int i = 0; i < n; i++) {
+        size = larger(size, larger(fabs(nodal[i].x), fabs(nodal[i].y)));
+        if (!isfinite(nodal[i].x + nodal[i].y)) return NAN;
+    }
+    return size;
+}
+
 /* One step: M (w1 - w0)/h + alpha M (w0 + w1)/2 + F(r0, r1) = f - b (a + alpha v). */
 static int em_step(ChainKernel *k, const State *s, Load load, double h, StepResult *result) {
     const ChainSettings *p = &k->settings;
-    double axial = p->EA / k->L0, viscosity = axial * (p->damping_chain / h + AXIAL_DISSIPATION);
-    double trolley_v = load.trolley_v + 0.5 * h * load.trolley_a;
-    double inertia = 2.0 / (h * h) + p->damping_air / h;
-    Vector *r1 = k->r1, *change = k->w1; /* w1 is free until the step is done */
-
+    double viscosity = p->EA / k->L0 * (p->damping_chain / h + AXIAL_DISSIPATION);
+    double inertia = 2.0 / (h * h) + p->damping_air / h, last = 0.0;
     for (int e = 0; e < k->n; e++) {
         k->d0[e] = along(s->r, e);
         k->l0[e] = norm(k->d0[e]);
-        Vector d1 = rotate_element(k->d0[e], along(s->w, e), h);
-        r1[e] = e ? (Vector){r1[e - 1].x + d1.x, r1[e - 1].y + d1.y} : d1;
+        double stretch = expected_stretch(k, s, viscosity, e);
+        k->d1[e] = turned(k->d0[e], expected_turn(k, s, h, e), stretch);
     }
     for (int iteration = 1; iteration <= EM_MAX_ITERATIONS; iteration++) {
-        for (int i = 0; i < k->n; i++) {
-            Vector moved = minus(r1[i], s->r[i]);
-            change[i] = (Vector){inertia * moved.x - 2.0 / h * s->w[i].x,
-                                 inertia * moved.y - 2.0 / h * s->w[i].y};
-        }
-        for (int i = 0; i < k->n; i++) {
-            ElementForce f =
-                element_force(axial, k->L0, viscosity, k->d0[i], k->l0[i], along(r1, i));
-            Vector inertial = mass_times(k, change, i), steady = applied(k, load, trolley_v, i);
-            k->tangent[i] = f.tangent;
-            k->unknown[i] = (Vector){steady.x - inertial.x - f.pull.x,
-                                     steady.y - inertial.y - f.pull.y};
-            if (i) {
-                k->unknown[i - 1].x += f.pull.x;
-                k->unknown[i - 1].y += f.pull.y;
-            }
-        }
-        if (!factor(k, inertia)) return CHAIN_NOT_CONVERGED;
-        solve(k, k->unknown);
-        double size = 0.0;
-        for (int i = 0; i < k->n; i++) {
-            Vector c = k->unknown[i];
-            r1[i].x += c.x;
-            r1[i].y += c.y;
-            size = larger(size, larger(fabs(c.x), fabs(c.y)));
-            if (!isfinite(c.x + c.y)) return CHAIN_NOT_CONVERGED;
-        }
+        result->iterations = iteration;
+        add_up(k->d1, k->r1, k->n);
+        em_residual(k, s, load, h, viscosity, inertia);
+        if (!factor_and_solve(k, inertia, k->unknown)) return CHAIN_NOT_CONVERGED;
+        double size = size_of(k->unknown, k->n);
+        if (!(size < p->length) || (iteration > 2 && size > DIVERGENCE * last) ||
+            !correct(k->unknown, k->d1, k->n))
+            return CHAIN_NOT_CONVERGED;
         if (size <= EM_DISPLACEMENT_TOLERANCE * p->length) {
+            add_up(k->d1, k->r1, k->n);
             em_result(k, s, load, h, viscosity, result);
-            result->iterations = iteration;
             return CHAIN_OK;
         }
-        if (!(size < p->length)) return CHAIN_NOT_CONVERGED;
+        last = size;
     }
     return CHAIN_NOT_CONVERGED;
 }
@@ -517,6 +563,7 @@ static int newmark_step(ChainKernel *k, const State *s, Load load, double h, Ste
     Vector *increment = k->d0; /* d0 is free in this scheme */
     memset(increment, 0, nodes);
     for (int iteration = 0; iteration <= NEWMARK_MAX_ITERATIONS; iteration++) {
+        result->iterations = iteration;
         double size2 = 0.0, unbalanced = 0.0;
         for (int i = 0; i < n; i++) {
             Vector q = increment[i], w = s->w[i], a = k->a0[i];
@@ -536,7 +583,6 @@ static int newmark_step(ChainKernel *k, const State *s, Load load, double h, Ste
             }
             if (moved <= NEWMARK_DISPLACEMENT_TOLERANCE && unbalanced <= NEWMARK_FORCE_TOLERANCE) {
                 newmark_result(k, s, load, h, result);
-                result->iterations = iteration;
                 return CHAIN_OK;
             }
             if (!(moved < 1.0)) return CHAIN_NOT_CONVERGED;
@@ -602,16 +648,17 @@ static int check_energy(const ChainKernel *k, const Header *s, double ledger, do
     return CHAIN_OK;
 }
 
-/* One step of the scheme, with its energy balance checked; the trial state moves on if it is good. */
+/* One step of the scheme; the trial state moves on if its energy balance is good. */
 static int attempt(ChainKernel *k, Load load, double h, ChainFailure *failure) {
     State *s = &k->trial;
     Header *head = s->head;
     int newmark = k->settings.scheme == CHAIN_NEWMARK;
     size_t nodes = (size_t)k->n * sizeof(Vector);
-    StepResult result;
+    StepResult result = {0};
     if (head->loaded != 0.0 && (head->load_a != load.trolley_a || head->load_fx != load.payload_fx))
         forget_load(k, s); /* a jump of load: accelerations start anew */
     int kind = newmark ? newmark_step(k, s, load, h, &result) : em_step(k, s, load, h, &result);
+    head->iterations += result.iterations;
     if (kind != CHAIN_OK) {
         *failure = (ChainFailure){0.0, h, 0.0, 0.0, 0.0};
         return kind;
@@ -630,11 +677,10 @@ static int attempt(ChainKernel *k, Load load, double h, ChainFailure *failure) {
     next.load_a = load.trolley_a;
     next.load_fx = load.payload_fx;
     next.steps += 1.0;
-    next.iterations += result.iterations;
     *head = next;
     memcpy(s->r, k->r1, nodes);
     memcpy(s->w, k->w1, nodes);
-    if (newmark) memcpy(s->a, k->a1, nodes);
+    memcpy(s->a, k->a1, nodes);
     memcpy(s->tension, k->tension1, (size_t)k->n * sizeof(double));
     return CHAIN_OK;
 }
@@ -649,9 +695,10 @@ static int internal_step(ChainKernel *k, double v, double a_cmd, double payload_
         failure->time = k->trial.head->time + elapsed;
         return kind;
     }
-    kind = internal_step(k, v, a_cmd, payload_fx, elapsed, 0.5 * h, halvings + 1, failure);
+    h *= 0.5;
+    kind = internal_step(k, v, a_cmd, payload_fx, elapsed, h, halvings + 1, failure);
     if (kind != CHAIN_OK) return kind;
-    return internal_step(k, v, a_cmd, payload_fx, elapsed + 0.5 * h, 0.5 * h, halvings + 1, failure);
+    return internal_step(k, v, a_cmd, payload_fx, elapsed + h, h, halvings + 1, failure);
 }
 
 /* ---- the kernel's memory ---- */
@@ -684,10 +731,9 @@ static size_t lay_out(ChainKernel *k, char *memory, int elements) {
     size_t used = rounded(sizeof(ChainKernel)), n = (size_t)elements;
     size_t state = chain_state_count(elements) * sizeof(double);
     double *committed = take(memory, &used, state), *trial = take(memory, &used, state);
-    Vector *vectors = take(memory, &used, 6 * n * sizeof(Vector));
+    Vector *vectors = take(memory, &used, 7 * n * sizeof(Vector));
     double *numbers = take(memory, &used, 2 * n * sizeof(double));
-    Block *blocks = take(memory, &used, 3 * n * sizeof(Block));
-    Pivot *pivots = take(memory, &used, n * sizeof(Pivot));
+    Block *blocks = take(memory, &used, 4 * n * sizeof(Block));
     if (memory) {
         k->state = state_at(committed, elements);
         k->trial = state_at(trial, elements);
@@ -696,13 +742,14 @@ static size_t lay_out(ChainKernel *k, char *memory, int elements) {
         k->a1 = vectors + 2 * n;
         k->a0 = vectors + 3 * n;
         k->d0 = vectors + 4 * n;
-        k->unknown = vectors + 5 * n;
+        k->d1 = vectors + 5 * n;
+        k->unknown = vectors + 6 * n;
         k->tension1 = numbers;
         k->l0 = numbers + n;
         k->tangent = blocks;
-        k->off = blocks + n;
-        k->upper = blocks + 2 * n;
-        k->pivot = pivots;
+        k->inverse = blocks + n;
+        k->lower = blocks + 2 * n;
+        k->upper = blocks + 3 * n;
     }
     return used;
 }

@@ -13,7 +13,15 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-FLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared"]
+FLAGS = [
+    "-std=c99",
+    "-O2",
+    "-ffp-contract=off",
+    "-fno-math-errno",  # with the next: speed, and not a digit changed
+    "-fno-trapping-math",
+    "-fvisibility=hidden",
+    "-shared",
+]
 TARGETS = {  # FMI's name of a platform -> zig's target, the library's name
     "linux64": ("x86_64-linux-gnu.2.17", "chain_kernel.so"),
     "win64": ("x86_64-windows-gnu", "chain_kernel.dll"),
