@@ -14,7 +14,7 @@ from chaincrane.chain import (
     kinetic_energy,
     mass_times,
 )
-from chaincrane.energy_momentum import element_force, rotate_elements
+from chaincrane.energy_momentum import corrected, element_force, turned
 from chaincrane.parameters import Chain, Crane, Payload
 
 MU, L0, EA = 0.275, 0.08, 7.357e6
@@ -110,11 +110,26 @@ def test_discrete_gradient_tangent_is_the_derivative() -> None:
         np.testing.assert_allclose(tangent[:, :, c], numerical, rtol=1e-6, atol=1e-6 * EA / L0)
 
 
-def test_predictor_keeps_lengths() -> None:
+def test_turned_elements_keep_their_lengths() -> None:
     rng = np.random.default_rng(6)
-    d, w = bent_chain(rng), rng.normal(size=(5, 2))
-    turned = rotate_elements(d, w, 1e-3)
-    np.testing.assert_allclose(np.hypot(*turned.T), np.hypot(*d.T), rtol=1e-15)
+    d, angle = bent_chain(rng), rng.normal(size=5)
+    after = turned(d, angle, np.ones(5))
+    np.testing.assert_allclose(np.hypot(*after.T), np.hypot(*d.T), rtol=1e-15)
+
+
+def test_correction_of_elements_is_a_sum_to_first_order() -> None:
+    rng = np.random.default_rng(7)
+    d, shift = bent_chain(rng), rng.normal(size=(5, 2))
+    for size, allowed in ((1e-3 * L0, 1e-5), (1e-4 * L0, 1e-7)):  # falls as the square
+        after = corrected(d, size * shift)
+        assert after is not None
+        off = np.abs(after - d - along_elements(size * shift)).max()
+        assert 0.0 < off < allowed * L0
+
+
+def test_correction_that_folds_an_element_is_refused() -> None:
+    d = np.array([[0.0, -L0]])
+    assert corrected(d, np.array([[0.0, 0.95 * L0]])) is None
 
 
 def test_assembled_mass_is_that_of_chain_and_payload() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgbsv, dgbtrf, dgbtrs
+from scipy.linalg.lapack import dgbsv, dgbtrf, dgbtrs, dptsv
 
 from .chain import DiscreteChain
 
@@ -50,6 +50,18 @@ def solve(bands: Array, load: Array) -> Array | None:
     """Solve for nodal values (n, 2); None where the matrix is singular. Uses up ``bands``."""
     _, _, x, info = dgbsv(_BAND, _BAND, _columns(bands), load.ravel(), overwrite_ab=True)
     return x.reshape(load.shape) if info == 0 else None
+
+
+def solve_tridiagonal(diagonal: Array, coupling: Array, load: Array) -> Array:
+    """Solve for nodal values (n, 2) with one symmetric positive definite matrix for x and y.
+
+    ``diagonal`` (n,) and ``coupling`` (n - 1,) are its entries, the same for both components.
+    """
+    if len(diagonal) == 1:
+        return load / diagonal[0]  # LAPACK's wrapper refuses an empty coupling
+    x: Array
+    _, _, x, _ = dptsv(diagonal, coupling, load)
+    return x
 
 
 class Factors:

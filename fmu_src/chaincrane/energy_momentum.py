@@ -31,8 +31,7 @@ AXIAL_DISSIPATION = (
 )
 MAX_ITERATIONS = 12
 DISPLACEMENT_TOLERANCE = 1e-8  # of the chain's length; Newton's next error is its square
-DIVERGENCE = 1.5  # a third or later correction that grows by this much is not worth a fourth
-SMALL_TURN = 0.02  # rad; a change of an element's turn up to this much is expected to go on
+DIVERGENCE = 3.0  # a third or later correction that grows by this much is not worth another
 LEAST_STRETCH = 0.1  # a correction that leaves less of an element's length is no correction
 
 
@@ -83,20 +82,6 @@ def cross(a: Array, b: Array) -> Array:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def expected_turn(d: Array, motion: Motion, h: float) -> Array:
-    """Turn of each element expected over ``h``, rad, (n,).
-
-    h omega, and half of what omega gained in as long: but a large gain is that of a wave that the
-    step cannot resolve, whose rate changes sign from step to step.
-    """
-    l2 = d[:, 0] ** 2 + d[:, 1] ** 2
-    turn = h * cross(d, along_elements(motion.w)) / l2
-    if motion.a is None:
-        return turn
-    gain = h * h * cross(d, along_elements(motion.a)) / l2
-    return turn + np.where(np.abs(gain) < SMALL_TURN, 0.5 * gain, 0.0)
-
-
 def expected_stretch(EA: float, L0: float, viscosity: float, d: Array, tension: Array) -> Array:
     """Stretch factor of each element that would leave its ``tension``, N, as it was, (n,).
 
@@ -131,7 +116,7 @@ class EnergyMomentum:
         self._mass = banded.mass_bands(chain)
 
     def start(self, motion: Motion, load: Load) -> Motion:
-        """Nothing to prepare: the mean accelerations of the last step only help to predict."""
+        """The scheme keeps no accelerations: nothing to prepare."""
         return motion
 
     def step(self, motion: Motion, load: Load, h: float) -> StepResult:
@@ -156,8 +141,10 @@ class EnergyMomentum:
         inertia_bands = inertia * self._mass
 
         d0 = along_elements(motion.r)
+        u = self._expected_velocity(motion, steady, h, d0)
+        turn = h * cross(d0, along_elements(u)) / np.einsum("ij,ij->i", d0, d0)
         stretch = expected_stretch(EA, L0, viscosity, d0, motion.tension)
-        d1: Array | None = turned(d0, expected_turn(d0, motion, h), stretch)
+        d1: Array | None = turned(d0, turn, stretch)
         last = np.inf
         for iteration in range(1, MAX_ITERATIONS + 1):
             assert d1 is not None
@@ -179,12 +166,29 @@ class EnergyMomentum:
             last = size
         raise NotConverged.in_step(h, iteration)
 
+    def _expected_velocity(self, motion: Motion, steady: Array, h: float, d0: Array) -> Array:
+        """Mean velocity of a step in which each element keeps its tension, or none if slack.
+
+            ((2/h + alpha) M + h/2 K) u = 2/h M w0 + f - b (a + alpha v) - F(k d0),  k = N/l0
+
+        with K the assembled k: the scheme's own step for a taut string, m/s, (n, 2). The rates at
+        the step's start would not do: those of waves that the step cannot resolve come to nothing
+        over it. ``steady`` is f - b (a + alpha v), N; ``d0`` the element vectors, m.
+        """
+        chain = self.chain
+        k = np.maximum(motion.tension, 0.0) / np.hypot(d0[:, 0], d0[:, 1])
+        inertia = 2.0 / h + chain.crane.damping.air
+        diagonal = inertia * chain.mass_diagonal + 0.5 * h * k
+        diagonal[:-1] += 0.5 * h * k[1:]
+        coupling = inertia * chain.mass_coupling - 0.5 * h * k[1:]
+        load = steady + 2.0 / h * mass_times(chain, motion.w) - assemble_force(k[:, None] * d0)
+        return banded.solve_tridiagonal(diagonal, coupling, load)
+
     def _result(self, motion: Motion, load: Load, h: float, d1: Array, n: int) -> StepResult:
         """Velocities and the step's energy terms, once the element vectors are known."""
         chain, crane = self.chain, self.chain.crane
         r1 = np.cumsum(d1, axis=0)
         w1 = 2.0 / h * (r1 - motion.r) - motion.w
-        a = (w1 - motion.w) / h
         trolley_v = load.trolley_v + 0.5 * h * load.trolley_a
         trolley_dx = h * trolley_v
         viscosity = crane.chain.EA / chain.L0 * (crane.damping.chain / h + AXIAL_DISSIPATION)
@@ -193,7 +197,7 @@ class EnergyMomentum:
         air = crane.damping.air
         _, row = chain.node0_mass
         mean_w = (r1 - motion.r) / h
-        node1_a = a[0, 0] + air * mean_w[0, 0]
+        node1_a = (w1[0, 0] - motion.w[0, 0]) / h + air * mean_w[0, 0]
         trolley_fx = (
             row * (load.trolley_a + air * trolley_v)
             + chain.mass_coupling * node1_a
@@ -204,7 +208,7 @@ class EnergyMomentum:
         if air:
             dissipated += 2.0 * air * h * kinetic_energy(chain, mean_w, trolley_v)
         return StepResult(
-            motion=Motion(r1, w1, force.tension, a),
+            motion=Motion(r1, w1, force.tension),
             trolley_fx=float(trolley_fx),
             work_trolley=float(trolley_fx) * trolley_dx,
             work_payload=load.payload_fx * (float(r1[-1, 0] - motion.r[-1, 0]) + trolley_dx),

@@ -13,8 +13,7 @@
 static const double AXIAL_DISSIPATION = 0.05;
 static const int EM_MAX_ITERATIONS = 12;
 static const double EM_DISPLACEMENT_TOLERANCE = 1e-8;
-static const double DIVERGENCE = 1.5;
-static const double SMALL_TURN = 0.02;
+static const double DIVERGENCE = 3.0;
 static const double LEAST_STRETCH = 0.1;
 /* newmark.py */
 static const int NEWMARK_MAX_ITERATIONS = 200;
@@ -304,14 +303,6 @@ static inline Vector turned(Vector d, double angle, double factor) {
     return (Vector){cosine * d.x - sine * d.y, sine * d.x + cosine * d.y};
 }
 
-/* Turn of element e expected over h, rad: its rate and half of what the rate gained in as long. */
-static inline double expected_turn(const ChainKernel *k, const State *s, double h, int e) {
-    Vector d = k->d0[e];
-    double l2 = k->l0[e] * k->l0[e], turn = h * cross(d, along(s->w, e)) / l2;
-    double gain = h * h * cross(d, along(s->a, e)) / l2;
-    return fabs(gain) < SMALL_TURN ? turn + 0.5 * gain : turn; /* a is NaN where not known */
-}
-
 /* Stretch factor of element e that would leave its tension as it was in the last step. */
 static inline double expected_stretch(const ChainKernel *k, const State *s, double viscosity,
                                       int e) {
@@ -342,10 +333,9 @@ static void em_result(ChainKernel *k, const State *s, Load load, double h, doubl
         if (i == 0) top_pull = f.pull;
         Vector moved = minus(k->r1[i], s->r[i]);
         k->w1[i] = (Vector){2.0 / h * moved.x - s->w[i].x, 2.0 / h * moved.y - s->w[i].y};
-        k->a1[i] = (Vector){(k->w1[i].x - s->w[i].x) / h, (k->w1[i].y - s->w[i].y) / h};
     }
     double mean_w = (k->r1[0].x - s->r[0].x) / h;
-    double node1_a = k->a1[0].x + air * mean_w;
+    double node1_a = (k->w1[0].x - s->w[0].x) / h + air * mean_w;
     double row = 0.5 * k->inner_row;
     result->trolley_fx =
         row * (load.trolley_a + air * trolley_v) + k->coupling * node1_a - top_pull.x;
@@ -411,17 +401,66 @@ static double size_of(const Vector *nodal, int n) {
     return size;
 }
 
+/* N/l of an element by its tension of the last step, N/m; none if it is slack. */
+static inline double taut_stiffness(const ChainKernel *k, const State *s, int e) {
+    return larger(s->tension[e], 0.0) / k->l0[e];
+}
+
+static inline Vector taut_pull(const ChainKernel *k, const State *s, int e) {
+    double stiffness = taut_stiffness(k, s, e);
+    return (Vector){stiffness * k->d0[e].x, stiffness * k->d0[e].y};
+}
+
+/* Mean velocity of a step in which each element keeps its tension, or none if it is slack:
+
+       ((2/h + alpha) M + h/2 K) u = 2/h M w0 + f - b (a + alpha v) - F(k d0),  k_e = N_e/l_e
+
+   in place by Thomas elimination: a taut string's matrix is positive definite. */
+static const Vector *expected_velocity(ChainKernel *k, const State *s, Load load, double h) {
+    double trolley_v = load.trolley_v + 0.5 * h * load.trolley_a;
+    double inertia = 2.0 / h + k->settings.damping_air;
+    double coupling = 0.0, above = 0.0; /* matrix entry and factor between nodes i-1 and i */
+    double *factor = k->tension1;       /* free until the step is done */
+    Vector *u = k->unknown, pull = taut_pull(k, s, 0);
+    double stiffness = taut_stiffness(k, s, 0);
+    for (int i = 0; i < k->n; i++) {
+        int end = i == k->n - 1;
+        double below = end ? 0.0 : taut_stiffness(k, s, i + 1);
+        Vector pull_below = end ? (Vector){0.0, 0.0} : taut_pull(k, s, i + 1);
+        Vector f = minus(applied(k, load, trolley_v, i), minus(pull, pull_below));
+        Vector momentum = mass_times(k, s->w, i), known = i ? u[i - 1] : (Vector){0.0, 0.0};
+        double pivot = inertia * node_mass(k, i) + 0.5 * h * (stiffness + below) - coupling * above;
+        u[i].x = (f.x + 2.0 / h * momentum.x - coupling * known.x) / pivot;
+        u[i].y = (f.y + 2.0 / h * momentum.y - coupling * known.y) / pivot;
+        coupling = inertia * k->coupling - 0.5 * h * below;
+        factor[i] = above = coupling / pivot;
+        stiffness = below;
+        pull = pull_below;
+    }
+    for (int i = k->n - 2; i >= 0; i--)
+        u[i] = (Vector){u[i].x - factor[i] * u[i + 1].x, u[i].y - factor[i] * u[i + 1].y};
+    return u;
+}
+
+/* Element vectors expected at the step's end: they turn with that velocity and keep the tension. */
+static void predict(ChainKernel *k, const State *s, Load load, double h, double viscosity) {
+    for (int e = 0; e < k->n; e++) {
+        k->d0[e] = along(s->r, e);
+        k->l0[e] = norm(k->d0[e]);
+    }
+    const Vector *u = expected_velocity(k, s, load, h);
+    for (int e = 0; e < k->n; e++) {
+        double turn = h * cross(k->d0[e], along(u, e)) / (k->l0[e] * k->l0[e]);
+        k->d1[e] = turned(k->d0[e], turn, expected_stretch(k, s, viscosity, e));
+    }
+}
+
 /* One step: M (w1 - w0)/h + alpha M (w0 + w1)/2 + F(r0, r1) = f - b (a + alpha v). */
 static int em_step(ChainKernel *k, const State *s, Load load, double h, StepResult *result) {
     const ChainSettings *p = &k->settings;
     double viscosity = p->EA / k->L0 * (p->damping_chain / h + AXIAL_DISSIPATION);
     double inertia = 2.0 / (h * h) + p->damping_air / h, last = 0.0;
-    for (int e = 0; e < k->n; e++) {
-        k->d0[e] = along(s->r, e);
-        k->l0[e] = norm(k->d0[e]);
-        double stretch = expected_stretch(k, s, viscosity, e);
-        k->d1[e] = turned(k->d0[e], expected_turn(k, s, h, e), stretch);
-    }
+    predict(k, s, load, h, viscosity);
     for (int iteration = 1; iteration <= EM_MAX_ITERATIONS; iteration++) {
         result->iterations = iteration;
         add_up(k->d1, k->r1, k->n);
@@ -680,7 +719,7 @@ static int attempt(ChainKernel *k, Load load, double h, ChainFailure *failure) {
     *head = next;
     memcpy(s->r, k->r1, nodes);
     memcpy(s->w, k->w1, nodes);
-    memcpy(s->a, k->a1, nodes);
+    if (newmark) memcpy(s->a, k->a1, nodes);
     memcpy(s->tension, k->tension1, (size_t)k->n * sizeof(double));
     return CHAIN_OK;
 }
@@ -791,7 +830,7 @@ ChainKernel *chain_create(void *memory, const ChainSettings *settings) {
     s->head->energy = mechanical_energy(k, s->r, s->w, settings->speed);
     s->head->start = s->head->largest_energy = s->head->energy;
     forget_load(k, s);
-    s->head->trolley_fx = -s->tension[0] * s->r[0].x / norm(s->r[0]);
+    s->head->trolley_fx = 0.0 - s->tension[0] * s->r[0].x / norm(s->r[0]); /* no -0 */
     return k;
 }
 
