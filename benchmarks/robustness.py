@@ -203,18 +203,17 @@ def main() -> int:
     )
     wrong = 0
     with Pool(options.processes) as pool:
-        for step in options.steps:
-            sets = {f"random, {step:g} ms": random_cases}
-            if not options.no_grid:
-                report_on = pool.map(run, grid(step / 1e3, options.scheme), chunksize=5)
-                report(f"grid, {step:g} ms", report_on, options.show)
-                wrong += sum(outcome.wrong for outcome in report_on)
-            for name, make in sets.items():
-                if options.random:
-                    cases = make(options.random, options.seed, step / 1e3, options.scheme)
-                    report_on = pool.map(run, cases, chunksize=5)
-                    report(name, report_on, options.show)
-                    wrong += sum(outcome.wrong for outcome in report_on)
+        for milliseconds in options.steps:
+            step = milliseconds / 1e3
+            sets = {
+                "grid": [] if options.no_grid else grid(step, options.scheme),
+                "random": random_cases(options.random, options.seed, step, options.scheme),
+            }
+            for name, cases in sets.items():
+                if cases:
+                    outcomes = pool.map(run, cases, chunksize=5)
+                    report(f"{name}, {milliseconds:g} ms", outcomes, options.show)
+                    wrong += sum(outcome.wrong for outcome in outcomes)
     return 1 if wrong else 0
 
 

@@ -57,9 +57,10 @@ def solve_tridiagonal(diagonal: Array, coupling: Array, load: Array) -> Array:
 
     ``diagonal`` (n,) and ``coupling`` (n - 1,) are its entries, the same for both components.
     """
-    if len(diagonal) == 1:
-        return load / diagonal[0]  # LAPACK's wrapper refuses an empty coupling
     x: Array
+    if len(diagonal) == 1:  # LAPACK's wrapper refuses an empty coupling
+        x = load / diagonal[0]
+        return x
     _, _, x, _ = dptsv(diagonal, coupling, load)
     return x
 

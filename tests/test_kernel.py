@@ -1,0 +1,153 @@
+"""The C kernel against the NumPy model: each is the other's oracle."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from chaincrane.errors import BadState, BadValue, CraneError
+from chaincrane.kernel import KernelMissing, NativeCrane, load_library
+from chaincrane.nonlinear import NonlinearCrane
+from chaincrane.parameters import (
+    MAOURANE_SZABO_2020_HEAVY,
+    MAOURANE_SZABO_2020_LIGHT,
+    SCHEMES,
+    Chain,
+    Crane,
+    Damping,
+    Initial,
+    Numerics,
+    Payload,
+)
+
+COMPILE = Path(__file__).resolve().parents[1] / "fmu_src" / "native" / "compile_kernel.py"
+PAYLOADS = {"heavy": MAOURANE_SZABO_2020_HEAVY, "light": MAOURANE_SZABO_2020_LIGHT}
+PLACES = ("payload.x", "payload.y", *(f"chain.{c}[{i}]" for c in "xy" for i in range(1, 11)))
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The kernel, compiled for this machine."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    folder = tmp_path_factory.mktemp("native")
+    done = subprocess.run(
+        [sys.executable, str(COMPILE), str(folder)], check=True, capture_output=True, text=True
+    )
+    return load_library(done.stdout.strip())
+
+
+def farthest(a: dict[str, float], b: dict[str, float]) -> float:
+    """Largest difference of the chain's and the payload's places, m."""
+    return max(abs(a[name] - b[name]) for name in PLACES)
+
+
+@pytest.mark.parametrize("payload", PAYLOADS)
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_kernel_and_numpy_agree(library: Any, payload: str, scheme: str) -> None:
+    settings = (PAYLOADS[payload], Initial(), Numerics(scheme=scheme))
+    numpy, native = NonlinearCrane(*settings), NativeCrane(*settings, library=library)
+    for i in range(400):
+        for crane in (numpy, native):
+            crane.step(0.01, 0.8 if i < 100 else 0.0)
+        a, b = numpy.outputs(), native.outputs()
+        assert list(a) == list(b)
+        assert farthest(a, b) < 1e-9  # what the issue asks for; round-off grows to 6e-10 in newmark
+        assert a["solver.steps"] == b["solver.steps"]
+        if scheme == "energy_momentum":
+            assert a["solver.iterations"] == b["solver.iterations"]
+            assert b["chain.tension_top"] == pytest.approx(a["chain.tension_top"], abs=1e-7)
+            assert b["energy.total"] == pytest.approx(a["energy.total"], abs=1e-11)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("elements", [1, 2, 25])
+def test_every_term_agrees(library: Any, scheme: str, elements: int) -> None:
+    """Damping, accelerations, a payload force, a soft chain, a sway at the start."""
+    crane = Crane(
+        chain=Chain(EA=1e3), payload=Payload(0.1), damping=Damping(air=0.2, chain=1e-3), gravity=5.0
+    )
+    settings = (crane, Initial(speed=0.3, sway_angle=0.4), Numerics(elements, 2e-3, scheme))
+    numpy, native = NonlinearCrane(*settings), NativeCrane(*settings, library=library)
+    for commands in ((0.3, 0.0, 0.0), (0.0, 1.5, 0.0), (0.0, -2.0, 0.2), (0.1, 0.0, -0.1)):
+        for crane_model in (numpy, native):
+            crane_model.step(0.1, *commands)
+        a, b = numpy.outputs(), native.outputs()
+        for name, value in a.items():
+            assert b[name] == pytest.approx(value, rel=1e-8, abs=1e-10), name
+        assert native.time == numpy.time
+        assert native.trolley == numpy.trolley
+        assert native.ledger.expected == pytest.approx(numpy.ledger.expected, rel=1e-9)
+
+
+def test_a_saved_state_fits_both(library: Any) -> None:
+    numpy, native = NonlinearCrane(), NativeCrane(library=library)
+    for crane in (numpy, native):
+        crane.step(0.1)
+    numpy.load(native.save())
+    assert numpy.save() == native.save()
+    other = NativeCrane(library=library)
+    other.load(numpy.save())
+    for crane in (native, other):
+        crane.step(0.1)
+    assert other.save() == native.save()
+    with pytest.raises(BadState):
+        NativeCrane(None, None, Numerics(elements=3), library=library).load(numpy.save())
+
+
+@pytest.mark.parametrize(
+    "arguments", [(0.0,), (float("nan"),), (1e6,), (1e-3, float("inf")), (1e-3, 0, 0, "1")]
+)
+def test_bad_values_are_refused_in_the_same_words(library: Any, arguments: tuple[Any, ...]) -> None:
+    numpy, native = NonlinearCrane(), NativeCrane(library=library)
+    before = native.save()
+    with pytest.raises(BadValue) as expected:
+        numpy.step(*arguments)
+    with pytest.raises(BadValue) as error:
+        native.step(*arguments)
+    assert str(error.value) == str(expected.value)
+    assert native.save() == before
+
+
+def test_a_step_that_fails_leaves_the_state_and_says_the_same(library: Any) -> None:
+    crane = Crane(chain=Chain(EA=1e8), payload=Payload(0.01))
+    settings = (crane, Initial(speed=0.0), Numerics(50, 5e-3, "newmark"))
+    numpy, native = NonlinearCrane(*settings), NativeCrane(*settings, library=library)
+    before = native.save()
+    with pytest.raises(CraneError) as expected:
+        numpy.step(0.005, 2.0)
+    with pytest.raises(CraneError) as error:
+        native.step(0.005, 2.0)
+    assert (type(error.value), str(error.value)) == (type(expected.value), str(expected.value))
+    assert native.save() == before
+
+
+def test_rest_stays_at_rest(library: Any) -> None:
+    crane = NativeCrane(initial=Initial(speed=0.0), library=library)
+    before = crane.outputs()
+    for _ in range(60):
+        crane.step(1.0)
+        assert farthest(before, crane.outputs()) < 1e-12
+
+
+def test_a_fine_mesh_costs_few_iterations(library: Any) -> None:
+    """What the predictor and the turned corrections are for: 11 iterations a step without."""
+    crane = NativeCrane(numerics=Numerics(elements=1000), library=library)
+    crane.step(0.2)
+    assert crane.effort.steps < 210  # hardly a halving
+    assert crane.effort.iterations < 5 * crane.effort.steps
+
+
+def test_a_missing_kernel_is_said(tmp_path: Path) -> None:
+    with pytest.raises(KernelMissing, match="no compiled kernel fits this host"):
+        load_library(str(tmp_path / "chain_kernel.so"))
+
+
+def test_the_kernel_needs_no_numpy() -> None:
+    code = "import sys, chaincrane.kernel; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
