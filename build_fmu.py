@@ -11,10 +11,12 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import subprocess
 import sys
 import tempfile
 import zipfile
 from datetime import datetime, timezone
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -31,7 +33,20 @@ def read_sources(model: str) -> dict[str, bytes]:
     return {file.relative_to(SOURCES).as_posix(): file.read_bytes() for file in files}
 
 
-def content_hash(sources: dict[str, bytes]) -> str:
+@cache
+def kernel_libraries() -> dict[str, bytes]:
+    """The C kernel, compiled for each platform that this machine's tools can make, by FMU path."""
+    sys.path.insert(0, str(SOURCES / "native"))
+    import compile_kernel
+
+    with tempfile.TemporaryDirectory() as scratch:
+        made = compile_kernel.compile_all(Path(scratch))
+        return {
+            f"resources/native/{file.parent.name}/{file.name}": file.read_bytes() for file in made
+        }
+
+
+def content_hash(sources: dict[str, bytes], native: dict[str, bytes]) -> str:
     """Hash of what goes into an FMU: its sources, what describes it, and pythonfmu's version."""
     import pythonfmu
 
@@ -39,7 +54,7 @@ def content_hash(sources: dict[str, bytes]) -> str:
     described = [SOURCES / "model_description.py", SOURCES / "icon.py"]
     described += sorted((SOURCES / "documentation").iterdir())
     texts = {file.relative_to(SOURCES).as_posix(): file.read_bytes() for file in described}
-    for name, content in sorted((sources | texts).items()):
+    for name, content in sorted((sources | texts | native).items()):
         digest.update(f"{name}\0{len(content)}\0".encode())
         digest.update(content)
     return digest.hexdigest()
@@ -48,7 +63,7 @@ def content_hash(sources: dict[str, bytes]) -> str:
 def stage(sources: dict[str, bytes], digest: str, folder: Path) -> None:
     """Write the sources with module names that are unique to their content."""
     tag = digest[:12]
-    imported = re.compile(rf"^(from|import) ({PACKAGE}|{SLAVE})\b", flags=re.MULTILINE)
+    imported = re.compile(rf"^( *from| *import) ({PACKAGE}|{SLAVE})\b", flags=re.MULTILINE)
     renamed = re.compile(r"^(\w+?)(/|\.py$)")
     for name, content in sources.items():
         text = imported.sub(rf"\1 \2_{tag}", content.decode())
@@ -69,7 +84,8 @@ def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Pa
     import model_description
 
     sources = sources or read_sources(model)
-    digest = content_hash(sources)
+    native = kernel_libraries() if model == "crane_nl" else {}
+    digest = content_hash(sources, native)
     tag = digest[:12]
     epoch = max(EARLIEST, int(os.environ.get("SOURCE_DATE_EPOCH", EARLIEST)))
     date = datetime.fromtimestamp(epoch, tz=timezone.utc)
@@ -84,6 +100,7 @@ def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Pa
         )
         with zipfile.ZipFile(raw) as archive:
             entries = {name: archive.read(name) for name in archive.namelist()}
+    entries.update(native)
     tool = f"chaincrane, pythonfmu {__version__}"
     stamp = date.strftime("%Y-%m-%dT%H:%M:%SZ")
     entries["modelDescription.xml"] = model_description.model_description(
@@ -129,6 +146,15 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"no such model: {', '.join(unknown)}; there are {', '.join(MODELS)}")
     from fmpy.validation import validate_fmu
 
+    try:
+        kernels = kernel_libraries()
+    except subprocess.CalledProcessError as error:
+        print(f"the C kernel does not compile:\n{error.stderr}", file=sys.stderr)
+        return 1
+    platforms = ", ".join(Path(name).parent.name for name in kernels)
+    print(
+        f"C kernel for: {platforms or 'no platform, as there is no compiler (NumPy runs instead)'}"
+    )
     failed = False
     for model in options.models or MODELS:
         fmu = build(model, options.dest)

@@ -3,8 +3,11 @@
 from typing import Any
 
 from chaincrane.interface import VARIABLES, settings
-from chaincrane.linear import LinearCrane
-from fmi_slave import FmiSlave, mend_import
+from chaincrane.requirements import require
+from fmi_slave import FmiSlave, Model, mend_import
+
+require("numpy")
+from chaincrane.linear import LinearCrane  # noqa: E402
 
 
 class crane_lin(FmiSlave):
@@ -12,8 +15,7 @@ class crane_lin(FmiSlave):
 
     variables = VARIABLES
 
-    @staticmethod
-    def make_model(parameters: dict[str, Any]) -> LinearCrane:
+    def make_model(self, parameters: dict[str, Any]) -> Model:
         """The linear crane; raises CraneError for what is not allowed."""
         return LinearCrane(*settings(parameters))
 

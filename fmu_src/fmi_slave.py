@@ -67,8 +67,7 @@ class FmiSlave(Fmi2Slave):
 
     variables: tuple[Variable, ...]
 
-    @staticmethod
-    def make_model(parameters: dict[str, Any]) -> Model:
+    def make_model(self, parameters: dict[str, Any]) -> Model:
         """The model for parameter values by name; raises CraneError for what is not allowed."""
         raise NotImplementedError
 

@@ -403,26 +403,48 @@ def _read_in_initialisation(fmu: str) -> list[float]:
     return seen
 
 
-def test_missing_packages_are_named_on_stderr(fmus: Path, tmp_path: Path) -> None:
-    """A Python without site-packages has no numpy: one line says what to install."""
-    with zipfile.ZipFile(fmus / "crane_nl.fmu") as archive:
-        archive.extractall(tmp_path)
-    resources = tmp_path / "resources"
+def imported_without_site_packages(fmu: Path, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Import an FMU's slave in a Python that has no packages, as a bare host's may be."""
+    with zipfile.ZipFile(fmu) as archive:
+        archive.extractall(folder)
+    resources = folder / "resources"
     module = (resources / "slavemodule.txt").read_text()
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-I",
-            "-S",
-            "-c",
-            f"import sys; sys.path.insert(0, {str(resources)!r});import {module}",
-        ],
-        capture_output=True,
-        text=True,
-    )
+    code = f"import sys; sys.path.insert(0, {str(resources)!r}); import {module} as slave;"
+    code += f"print(slave.{module.rsplit('_', 1)[0]}(instance_name='bare').get_real([0]))"
+    return subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True)
+
+
+def test_missing_packages_are_named_on_stderr(fmus: Path, tmp_path: Path) -> None:
+    """A Python without site-packages has no NumPy: one line says what to install."""
+    done = imported_without_site_packages(fmus / "crane_lin.fmu", tmp_path)
     assert done.returncode != 0
-    assert "lacks numpy" in done.stderr.splitlines()[0]
-    assert "python -m pip install numpy" in done.stderr.splitlines()[0]
+    assert done.stderr.splitlines()[0].endswith("lacks numpy: python -m pip install numpy")
+
+
+def test_with_its_kernel_the_nonlinear_crane_needs_no_package(fmus: Path, tmp_path: Path) -> None:
+    done = imported_without_site_packages(fmus / "crane_nl.fmu", tmp_path)
+    assert (done.returncode, done.stdout.strip()) == (0, "[0.0]"), done.stderr
+
+
+def _runs_without_a_kernel(fmu: str) -> list[Any]:
+    from slave_host import LOG, Host
+
+    host = Host(fmu)
+    return [host.run(50)[-1], list(LOG)]
+
+
+def test_without_a_kernel_numpy_runs_and_the_log_says_so(fmus: Path, tmp_path: Path) -> None:
+    """An FMU whose kernels are not for this host: the same numbers, and a warning."""
+    bare = tmp_path / "crane_nl.fmu"
+    with zipfile.ZipFile(fmus / "crane_nl.fmu") as source, zipfile.ZipFile(bare, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            target.writestr(name, b"not a library" if "/native/" in name else content)
+    slow, log = in_fresh_process(_runs_without_a_kernel, str(bare))
+    assert any("logStatusWarning: no compiled kernel" in line for line in log)
+    fast, log = in_fresh_process(_runs_without_a_kernel, str(fmus / "crane_nl.fmu"))
+    assert log == []
+    assert slow == pytest.approx(fast, abs=1e-6)
 
 
 def _fuzz(fmu: str, sequences: int) -> int:

@@ -191,16 +191,13 @@ class NativeCrane:
     def output_values(self) -> list[float]:
         """All outputs in the interface's order, in SI units."""
         self._c_outputs(self._kernel, self._outputs)
-        return list(self._outputs)
+        *real, steps, iterations = self._outputs
+        return [*real, int(steps), int(iterations)]
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
-        values = {
-            variable.name: v for variable, v in zip(OUTPUTS, self.output_values(), strict=True)
-        }
-        values["solver.steps"] = int(values["solver.steps"])
-        values["solver.iterations"] = int(values["solver.iterations"])
-        return values
+        names = (variable.name for variable in OUTPUTS)
+        return dict(zip(names, self.output_values(), strict=True))
 
     def save(self) -> bytes:
         """The whole state, bit for bit, as NonlinearCrane saves it; parameters are not in it."""

@@ -90,6 +90,11 @@ struct ChainKernel {
     Block *inverse, *lower, *upper;            /* of the matrix: P_i^-1, B_i, P_i^-1 B_(i+1) */
 };
 
+/* As math.h has them, but in no need of a C runtime's own functions. */
+static inline int is_nan(double x) { return x != x; }
+
+static inline int is_finite(double x) { return x - x == 0.0; }
+
 /* ---- vectors and blocks ---- */
 
 static inline Vector minus(Vector a, Vector b) { return (Vector){a.x - b.x, a.y - b.y}; }
@@ -243,7 +248,7 @@ static inline int factor_node(ChainKernel *k, double inertia, int i) {
     }
     double over = 1.0 / (p.xx * p.yy - p.xy * p.yx);
     k->inverse[i] = (Block){p.yy * over, -p.xy * over, -p.yx * over, p.xx * over};
-    return isfinite(over);
+    return is_finite(over);
 }
 
 static void forward_node(const ChainKernel *k, Vector *x, int i) {
@@ -396,7 +401,7 @@ static double size_of(const Vector *nodal, int n) {
     double size = 0.0;
     for (int i = 0; i < n; i++) {
         size = larger(size, larger(fabs(nodal[i].x), fabs(nodal[i].y)));
-        if (!isfinite(nodal[i].x + nodal[i].y)) return NAN;
+        if (!is_finite(nodal[i].x + nodal[i].y)) return NAN;
     }
     return size;
 }
@@ -573,7 +578,7 @@ static int newmark_step(ChainKernel *k, const State *s, Load load, double h, Ste
     size_t nodes = (size_t)n * sizeof(Vector);
 
     /* I. accelerations from dynamic equilibrium, M a = f - f_sigma - C v */
-    if (!isnan(s->a[0].x)) {
+    if (!is_nan(s->a[0].x)) {
         memcpy(k->a0, s->a, nodes);
     } else {
         newmark_residual(k, load, load.trolley_v, s->r, s->w, NULL);
@@ -618,7 +623,7 @@ static int newmark_step(ChainKernel *k, const State *s, Load load, double h, Ste
             for (int i = 0; i < n; i++) {
                 Vector f = k->unknown[i];
                 unbalanced = larger(unbalanced, larger(fabs(f.x), fabs(f.y)) / weight);
-                if (!isfinite(f.x + f.y)) return CHAIN_NOT_CONVERGED;
+                if (!is_finite(f.x + f.y)) return CHAIN_NOT_CONVERGED;
             }
             if (moved <= NEWMARK_DISPLACEMENT_TOLERANCE && unbalanced <= NEWMARK_FORCE_TOLERANCE) {
                 newmark_result(k, s, load, h, result);
@@ -849,7 +854,7 @@ int chain_step(ChainKernel *k, double h, double v_cmd, double a_cmd, double payl
     double v = v_cmd + now->trolley_gained, gained = now->trolley_gained + h * a_cmd;
     double x = now->trolley_x + h * v + 0.5 * h * h * a_cmd;
     int allowed = h > 0.0 && h <= MAX_INTERNAL_STEPS * k->settings.max_step;
-    if (!allowed || !isfinite(x) || !isfinite(v_cmd + gained) || !isfinite(payload_fx))
+    if (!allowed || !is_finite(x) || !is_finite(v_cmd + gained) || !is_finite(payload_fx))
         return CHAIN_BAD_VALUE;
 
     size_t bytes = chain_state_count(k->n) * sizeof(double);
@@ -918,3 +923,13 @@ void chain_outputs(const ChainKernel *k, double outputs[CHAIN_OUTPUTS]) {
     *out++ = head->steps;
     *out++ = head->iterations;
 }
+
+#if defined(CHAIN_NO_STARTUP)
+/* A Windows library that is linked without a C runtime's start-up code, which it has no use for. */
+int _fltused = 1;
+int __stdcall DllMainCRTStartup(void *library, unsigned long reason, void *reserved);
+int __stdcall DllMainCRTStartup(void *library, unsigned long reason, void *reserved) {
+    (void)library, (void)reason, (void)reserved;
+    return 1;
+}
+#endif
