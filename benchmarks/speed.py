@@ -1,0 +1,423 @@
+#!/usr/bin/env python3
+"""How fast is the nonlinear crane, against what else steps a chain? Work against precision.
+
+Everything is measured side by side in one process, in turns, and given as medians and ratios: on a
+noisy machine a ratio stands where a time does not. The run is the paper's, 4 s, travelling start,
+heavy payload; the error is the payload's largest distance from the same model's converged solution.
+
+- kernel: the C kernel, called for its internal steps alone;
+- numpy: the NumPy model, its definition;
+- fmu: crane_nl.fmu under FMPy's FMU2Slave, a communication step of 1 ms, 3 inputs set and 7
+  outputs read at each, beside a pythonfmu FMU that does nothing, with as many variables;
+- mujoco rk4, euler: MuJoCo, rigid links on hinges, which is the steel chain but for its stretch;
+- solve_ivp: SciPy's DOP853 and Radau on M a = f - f_sigma, a chain 7000 times softer: the steel
+  chain's axial vibrations would cost them hours.
+
+    python benchmarks/speed.py                  table on stdout
+    python benchmarks/speed.py --plot work.svg  and a work-precision plot
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src"), str(ROOT / "fmu_src" / "native")]
+
+import compile_kernel  # noqa: E402
+
+from chaincrane.chain import along_elements, axial_force, discretise, internal_force  # noqa: E402
+from chaincrane.kernel import NativeCrane, library_path, load_library  # noqa: E402
+from chaincrane.nonlinear import NonlinearCrane  # noqa: E402
+from chaincrane.parameters import Chain, Crane, Initial, Numerics  # noqa: E402
+from chaincrane_driver.compare import markdown_table  # noqa: E402
+
+SPEED, STOP, END = 0.8, 1.0, 4.0  # m/s, s, s
+SAMPLE = 0.02  # s, where errors are looked at
+TARGETS = (1e-3, 1e-4)  # m
+STEPS = (1e-2, 8e-3, 5e-3, 4e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4, 2.5e-4)  # s
+MESHES = (2, 10, 50, 200, 1000)
+SOFT_EA = 1e3  # N, for solvers that cannot take steel
+
+
+@dataclass(frozen=True)
+class Point:
+    """One solver at one setting."""
+
+    solver: str
+    setting: str
+    error: float  # m
+    run: Callable[[], Any]
+
+
+def timed(runs: Sequence[Callable[[], Any]], rounds: int) -> list[list[float]]:
+    """Times of each run, s, taken in turns."""
+    times: list[list[float]] = [[] for _ in runs]
+    for number in range(rounds + 1):
+        for run, mine in zip(runs, times, strict=True):
+            start = perf_counter()
+            run()
+            if number:  # the first round warms up
+                mine.append(perf_counter() - start)
+    return times
+
+
+def samples(model: Any) -> np.ndarray:
+    """Payload's x and y relative to the trolley over the paper's run, (200, 2), m."""
+    rows = []
+    for number in range(round(END / SAMPLE)):
+        model.step(SAMPLE, SPEED if number * SAMPLE < STOP - 1e-9 else 0.0)
+        out = model.outputs()
+        rows.append((out["payload.x_rel"], out["payload.y"]))
+    return np.array(rows)
+
+
+def distance(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest distance between two paths, m."""
+    return float(np.hypot(*(a - b).T).max())
+
+
+def paper_run(model: Any) -> None:
+    """The paper's run in two calls: the cost of the internal steps, and of nothing else."""
+    model.step(STOP, SPEED)
+    model.step(END - STOP, 0.0)
+
+
+# --- ours -------------------------------------------------------------------------------------
+
+
+def our_points(library: Any, elements: int = 10) -> list[Point]:
+    """The kernel at all steps, the NumPy model at a few."""
+    crane = Crane()
+
+    def kernel(h: float) -> NativeCrane:
+        return NativeCrane(crane, Initial(), Numerics(elements, h), library=library)
+
+    truth = samples(kernel(STEPS[-1] / 16))
+    points = []
+    for h in STEPS:
+        error = distance(samples(kernel(h)), truth)
+        points.append(Point("kernel", f"{h:g} s", error, lambda h=h: paper_run(kernel(h))))
+        if h >= 1e-3:
+            model = lambda h=h: NonlinearCrane(crane, Initial(), Numerics(elements, h))  # noqa: E731
+            points.append(Point("numpy", f"{h:g} s", error, lambda m=model: paper_run(m())))
+    return points
+
+
+# --- MuJoCo -----------------------------------------------------------------------------------
+
+
+def mujoco_chain(crane: Crane, elements: int) -> str:
+    """The chain as MuJoCo's XML: rigid links on hinges, the payload part of the last one."""
+    L0, m = crane.chain.length / elements, crane.chain.mass / elements
+    body, closing = "", ""
+    for e in range(elements):
+        mass, centre = m, 0.5 * L0
+        inertia = m * L0**2 / 12.0
+        if e == elements - 1:
+            mass = m + crane.payload.mass
+            centre = (0.5 * m + crane.payload.mass) * L0 / mass
+            inertia += m * (centre - 0.5 * L0) ** 2 + crane.payload.mass * (L0 - centre) ** 2
+        top = 0.0 if e == 0 else -L0
+        body += f'<body pos="0 0 {top}"><joint type="hinge" axis="0 -1 0"/>'
+        body += f'<inertial pos="0 0 {-centre}" mass="{mass}"'
+        body += f' diaginertia="{inertia} {inertia} 1e-9"/>'
+        closing += "</body>"
+    end = f'<site name="payload" pos="0 0 {-L0}"/>'
+    options = f'<option gravity="0 0 {-crane.gravity}"><flag contact="disable"/></option>'
+    compiler = '<compiler balanceinertia="true" boundinertia="1e-12"/>'
+    return f"<mujoco>{compiler}{options}<worldbody>{body}{end}{closing}</worldbody></mujoco>"
+
+
+def mujoco_points(library: Any, elements: int = 10) -> list[Point]:
+    """MuJoCo's RK4 and Euler at all steps. The stop is the same impulse, as hinge velocities."""
+    import mujoco
+
+    crane = Crane()
+    model = mujoco.MjModel.from_xml_string(mujoco_chain(crane, elements))
+    chain = discretise(crane, elements)
+    M = np.diag(chain.mass_diagonal) + chain.mass_coupling * (
+        np.eye(elements, k=1) + np.eye(elements, k=-1)
+    )
+    after = np.linalg.solve(M, chain.row_mass * SPEED)  # relative velocities after the stop
+    qvel = np.diff(np.diff(after, prepend=0.0) / chain.L0, prepend=0.0)
+
+    def run(integrator: int, h: float, sample: bool) -> np.ndarray | None:
+        model.opt.integrator, model.opt.timestep = integrator, h
+        data = mujoco.MjData(model)
+        rows = []
+        before, swing = round(STOP / h), round((END - STOP) / h)
+        mujoco.mj_step(model, data, nstep=before)
+        data.qvel[:] = qvel
+        if not sample:
+            mujoco.mj_step(model, data, nstep=swing)
+            return None
+        for _ in range(round((END - STOP) / SAMPLE)):
+            mujoco.mj_step(model, data, nstep=round(SAMPLE / h))
+            mujoco.mj_kinematics(model, data)
+            rows.append(data.site_xpos[0][[0, 2]].copy())
+        return np.array(rows)
+
+    rk4, euler = int(mujoco.mjtIntegrator.mjINT_RK4), int(mujoco.mjtIntegrator.mjINT_EULER)
+    truth = run(rk4, STEPS[-1], True)
+    ours = samples(NativeCrane(crane, Initial(), Numerics(elements, 1e-5), library=library))
+    assert truth is not None
+    apart = distance(ours[round(STOP / SAMPLE) :], truth)
+    print(f"MuJoCo's converged payload is {1e3 * apart:.4f} mm from ours (which stretches)\n")
+    points = []
+    for name, integrator in (("mujoco rk4", rk4), ("mujoco euler", euler)):
+        for h in STEPS if integrator == rk4 else (1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5, 2e-5):
+            if abs(SAMPLE / h - round(SAMPLE / h)) > 1e-9:
+                continue
+            path = run(integrator, h, True)
+            assert path is not None
+            error = distance(path, truth) if np.isfinite(path).all() else float("inf")
+            job = lambda i=integrator, h=h: run(i, h, False)  # noqa: E731
+            points.append(Point(name, f"{h:g} s", error, job))
+    return points
+
+
+# --- SciPy ------------------------------------------------------------------------------------
+
+
+def solve_ivp_points(library: Any, elements: int = 10) -> list[Point]:
+    """SciPy's DOP853 and Radau on a soft chain, and the kernel on the same."""
+    from scipy.integrate import solve_ivp
+
+    crane = Crane(chain=Chain(EA=SOFT_EA))
+    chain = discretise(crane, elements)
+    n = elements
+    M = np.diag(chain.mass_diagonal) + chain.mass_coupling * (np.eye(n, k=1) + np.eye(n, k=-1))
+    inverse = np.linalg.inv(M)
+
+    def rate(_t: float, state: np.ndarray) -> np.ndarray:
+        r, w = state.reshape(2, n, 2)
+        d = along_elements(r)
+        force = axial_force(SOFT_EA, chain.L0, np.hypot(*d.T))
+        a = inverse @ (chain.weight - internal_force(d, force))
+        return np.concatenate((w.ravel(), a.ravel()))
+
+    start = np.zeros((2, n, 2))
+    start[0] = chain.rest
+    start[1, :, 0] = inverse @ (chain.row_mass * SPEED)
+    times = np.arange(1, round((END - STOP) / SAMPLE) + 1) * SAMPLE
+
+    def integrate(method: str, rtol: float) -> np.ndarray:
+        done = solve_ivp(
+            rate, (0.0, END - STOP), start.ravel(), method, times, rtol=rtol, atol=1e-2 * rtol
+        )
+        return done.y[2 * n - 2 : 2 * n].T
+
+    truth = integrate("DOP853", 1e-10)
+    points = []
+    for method, tolerances in (("DOP853", (1e-3, 1e-4, 1e-5)), ("Radau", (1e-2, 1e-3, 1e-4))):
+        for rtol in tolerances:
+            error = distance(integrate(method, rtol), truth)
+            job = lambda m=method, t=rtol: integrate(m, t)  # noqa: E731
+            points.append(Point(f"solve_ivp {method}, soft", f"rtol {rtol:g}", error, job))
+    for h in STEPS[3:]:
+        make = lambda h=h: NativeCrane(crane, Initial(), Numerics(n, h), library=library)  # noqa: E731
+        error = distance(samples(make())[round(STOP / SAMPLE) :], truth)
+        job = lambda m=make: paper_run(m())  # noqa: E731
+        points.append(Point("kernel, soft", f"{h:g} s", error, job))
+    return points
+
+
+# --- the FMU ----------------------------------------------------------------------------------
+
+NOTHING = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class Nothing(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        for number in range(53):
+            causality = Fmi2Causality.input if number < 3 else Fmi2Causality.output
+            setattr(self, f"v{number}", 0.0)
+            self.register_variable(Real(f"v{number}", causality=causality))
+
+    def do_step(self, current_time, step_size):
+        return True
+"""
+
+
+def fmu_ratio(rounds: int) -> tuple[float, float]:
+    """Median time, s, of 4000 steps of crane_nl.fmu, and its ratio to an FMU that does nothing."""
+    from fmpy import extract, read_model_description
+    from fmpy.fmi2 import FMU2Slave
+    from pythonfmu.builder import FmuBuilder
+
+    from build_fmu import build
+
+    with tempfile.TemporaryDirectory() as scratch:
+        Path(scratch, "nothing.py").write_text(NOTHING)
+        files = [
+            build("crane_nl", Path(scratch)),
+            FmuBuilder.build_FMU(f"{scratch}/nothing.py", scratch),
+        ]
+        slaves, folders = [], []
+        for file in files:
+            description = read_model_description(str(file), validate=False)
+            folders.append(extract(str(file)))
+            slaves.append(
+                FMU2Slave(
+                    guid=description.guid,
+                    unzipDirectory=folders[-1],
+                    modelIdentifier=description.coSimulation.modelIdentifier,
+                    instanceName="timed",
+                )
+            )
+            slaves[-1].instantiate()
+
+        def run(slave: FMU2Slave) -> None:
+            slave.reset()
+            slave.setupExperiment(startTime=0.0)
+            slave.enterInitializationMode()
+            slave.exitInitializationMode()
+            for number in range(4000):
+                slave.setReal([0, 1, 2], [SPEED if number < 1000 else 0.0, 0.0, 0.0])
+                slave.doStep(currentCommunicationPoint=1e-3 * number, communicationStepSize=1e-3)
+                slave.getReal([18, 19, 22, 24, 25, 26, 27])
+
+        ours, nothing = timed([lambda: run(slaves[0]), lambda: run(slaves[1])], rounds)
+        for folder in folders:
+            shutil.rmtree(folder, ignore_errors=True)
+    ratio = statistics.median(a / b for a, b in zip(ours, nothing, strict=True))
+    return statistics.median(ours), ratio
+
+
+# --- meshes -----------------------------------------------------------------------------------
+
+
+def mesh_rows(library: Any, rounds: int) -> list[list[str]]:
+    """Cost of a step of 1 ms and of an element in it, for fine and coarse meshes."""
+    cranes = []
+    for n in MESHES:
+        crane = NativeCrane(Crane(), Initial(), Numerics(n, 1e-3), library=library)
+        crane.step(STOP, SPEED)
+        crane.step(0.5, 0.0)
+        cranes.append(crane)
+    times = timed([lambda c=crane: c.step(0.1, 0.0) for crane in cranes], rounds)
+    per_step = [statistics.median(mine) / 100 for mine in times]
+    ten = per_step[MESHES.index(10)] / 10
+    return [
+        [
+            str(n),
+            f"{1e6 * cost:.2f} us",
+            f"{1e9 * cost / n:.0f} ns",
+            f"{cost / n / ten:.2f}",
+            f"{crane.effort.iterations / crane.effort.steps:.2f}",
+        ]
+        for n, cost, crane in zip(MESHES, per_step, cranes, strict=True)
+    ]
+
+
+# --- report -----------------------------------------------------------------------------------
+
+
+def cheapest(points: list[Point], cost: dict[Point, float], target: float) -> dict[str, Point]:
+    """For each solver its cheapest setting that reaches ``target`` m."""
+    best: dict[str, Point] = {}
+    for point in points:
+        if point.error < target:
+            other = best.get(point.solver)
+            if other is None or cost[point] < cost[other]:
+                best[point.solver] = point
+    return best
+
+
+def plot(points: list[Point], cost: dict[Point, float], path: Path) -> None:
+    """Work-precision plot of the steel chain's solvers."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update({"font.size": 9, "svg.hashsalt": "chaincrane", "svg.fonttype": "none"})
+    figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    styles = {
+        "kernel": ("black", "o"),
+        "numpy": ("#888888", "s"),
+        "mujoco rk4": ("#0072B2", "^"),
+        "mujoco euler": ("#D55E00", "v"),
+    }
+    for solver, (colour, marker) in styles.items():
+        mine = [p for p in points if p.solver == solver and p.error < 0.1]
+        axes.loglog(
+            [1e3 * p.error for p in mine],
+            [1e3 * cost[p] for p in mine],
+            marker=marker,
+            color=colour,
+            label=solver,
+            markersize=4,
+        )
+    axes.set_xlabel("largest error of the payload, mm")
+    axes.set_ylabel("time for 4 s of the paper's run, ms")
+    axes.grid(alpha=0.25, which="both")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False)
+    axes.set_title("Work and precision: ten steel elements, heavy payload", loc="left", fontsize=9)
+    figure.savefig(path, dpi=200, metadata={"Date": None} if path.suffix == ".svg" else None)
+
+
+def main() -> int:
+    """Measure all, and print tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=7, help="counted rounds (7)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="work-precision plot, SVG or PNG")
+    options = parser.parse_args()
+
+    with tempfile.TemporaryDirectory() as scratch:
+        compile_kernel.compile_all(Path(scratch))
+        name = Path(library_path())
+        library = load_library(str(Path(scratch, name.parent.name, name.name)))
+    points = our_points(library)
+    try:
+        points += mujoco_points(library)
+    except ImportError:
+        print("MuJoCo is not installed: pip install -e '.[benchmark]'\n")
+    points += solve_ivp_points(library)
+    times = timed([point.run for point in points], options.rounds)
+    cost = {p: statistics.median(mine) for p, mine in zip(points, times, strict=True)}
+
+    for target in TARGETS:
+        best = cheapest(points, cost, target)
+        steel, soft = cost[best["kernel"]], cost[best["kernel, soft"]]
+        rows = [
+            [
+                solver,
+                point.setting,
+                f"{1e3 * point.error:.3f} mm",
+                f"{1e3 * cost[point]:.2f} ms",
+                f"{cost[point] / (soft if 'soft' in solver else steel):.1f}",
+            ]
+            for solver, point in best.items()
+        ]
+        print(f"4 s of the paper's run, payload within {1e3 * target:g} mm:\n")
+        print(markdown_table(["solver", "setting", "error", "time", "ratio to kernel"], rows), "\n")
+    header = ["elements", "a step", "an element of it", "ratio to n = 10", "iterations a step"]
+    print(markdown_table(header, mesh_rows(library, options.rounds)), "\n")
+    fmu, ratio = fmu_ratio(options.rounds)
+    print(f"crane_nl.fmu under FMPy: {1e6 * fmu / 4000:.1f} us a step of 1 ms,", end=" ")
+    print(f"{ratio:.2f} times an FMU that does nothing")
+    if options.plot:
+        plot(points, cost, options.plot)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
