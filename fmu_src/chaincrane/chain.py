@@ -51,7 +51,7 @@ def element_weight(mu: float, L0: float, gravity: float) -> Array:
 
 def axial_force(EA: float, L0: float, length: Array) -> Array:
     """Axial force N = EA (l - L0)/L0, N, tension positive; ``length`` in m, any shape."""
-    return EA * (length - L0) / L0
+    return EA / L0 * (length - L0)
 
 
 def internal_force(d: Array, force: Array) -> Array:

@@ -31,6 +31,7 @@ AXIAL_DISSIPATION = (
 )
 MAX_ITERATIONS = 12
 DISPLACEMENT_TOLERANCE = 1e-8  # of the chain's length; Newton's next error is its square
+ROUND_OFF = 4e-16  # of the chain's length: a correction that would only keep rest from resting
 DIVERGENCE = 3.0  # a third or later correction that grows by this much is not worth another
 LEAST_STRETCH = 0.1  # a correction that leaves less of an element's length is no correction
 
@@ -55,7 +56,7 @@ def element_force(EA: float, L0: float, viscosity: float, d0: Array, d1: Array) 
     l1 = np.hypot(d1[:, 0], d1[:, 1])
     total = l0 + l1
     axial = EA / L0
-    tension = axial * 0.5 * ((l0 - L0) + (l1 - L0)) + viscosity * (l1 - l0)
+    tension = 0.5 * (axial_force(EA, L0, l0) + axial_force(EA, L0, l1)) + viscosity * (l1 - l0)
     k = 2.0 * tension / total
     middle = 0.5 * (d0 + d1)
     slope = (axial + 2.0 * viscosity - k) / (total * l1)
@@ -148,9 +149,9 @@ class EnergyMomentum:
         last = np.inf
         for iteration in range(1, MAX_ITERATIONS + 1):
             assert d1 is not None
-            r1 = np.cumsum(d1, axis=0)
+            moved = np.cumsum(d1 - d0, axis=0)
             force = element_force(EA, L0, viscosity, d0, d1)
-            change = inertia * (r1 - motion.r) - 2.0 / h * motion.w
+            change = inertia * moved - 2.0 / h * motion.w
             residual = steady - mass_times(chain, change) - assemble_force(force.pull)
             correction = banded.solve(banded.add_tangents(inertia_bands, force.tangent), residual)
             if correction is None:
@@ -158,7 +159,8 @@ class EnergyMomentum:
             size = float(np.abs(correction).max())
             if not size < crane.chain.length or (iteration > 2 and size > DIVERGENCE * last):
                 break
-            d1 = corrected(d1, correction)
+            if size > ROUND_OFF * crane.chain.length:
+                d1 = corrected(d1, correction)
             if d1 is None:
                 break
             if size <= DISPLACEMENT_TOLERANCE * crane.chain.length:
@@ -187,16 +189,17 @@ class EnergyMomentum:
     def _result(self, motion: Motion, load: Load, h: float, d1: Array, n: int) -> StepResult:
         """Velocities and the step's energy terms, once the element vectors are known."""
         chain, crane = self.chain, self.chain.crane
-        r1 = np.cumsum(d1, axis=0)
-        w1 = 2.0 / h * (r1 - motion.r) - motion.w
+        d0 = along_elements(motion.r)
+        moved = np.cumsum(d1 - d0, axis=0)  # at rest 0 to the last digit, which r1 - r0 is not
+        r1 = motion.r + moved
+        w1 = 2.0 / h * moved - motion.w
         trolley_v = load.trolley_v + 0.5 * h * load.trolley_a
         trolley_dx = h * trolley_v
         viscosity = crane.chain.EA / chain.L0 * (crane.damping.chain / h + AXIAL_DISSIPATION)
-        d0 = along_elements(motion.r)
         force = element_force(crane.chain.EA, chain.L0, viscosity, d0, d1)
         air = crane.damping.air
         _, row = chain.node0_mass
-        mean_w = (r1 - motion.r) / h
+        mean_w = moved / h
         node1_a = (w1[0, 0] - motion.w[0, 0]) / h + air * mean_w[0, 0]
         trolley_fx = (
             row * (load.trolley_a + air * trolley_v)
@@ -211,7 +214,7 @@ class EnergyMomentum:
             motion=Motion(r1, w1, force.tension),
             trolley_fx=float(trolley_fx),
             work_trolley=float(trolley_fx) * trolley_dx,
-            work_payload=load.payload_fx * (float(r1[-1, 0] - motion.r[-1, 0]) + trolley_dx),
+            work_payload=load.payload_fx * (float(moved[-1, 0]) + trolley_dx),
             dissipated=dissipated,
             iterations=n,
         )

@@ -13,6 +13,7 @@
 static const double AXIAL_DISSIPATION = 0.05;
 static const int EM_MAX_ITERATIONS = 12;
 static const double EM_DISPLACEMENT_TOLERANCE = 1e-8;
+static const double ROUND_OFF = 4e-16;
 static const double DIVERGENCE = 3.0;
 static const double LEAST_STRETCH = 0.1;
 /* newmark.py */
@@ -74,7 +75,7 @@ typedef struct {
 struct ChainKernel {
     ChainSettings settings;
     int n;
-    double L0;                                 /* m, unstretched element */
+    double L0, axial;                          /* m, unstretched element; N/m, EA/L0 */
     double inner_mass, end_mass, coupling;     /* kg, consistent mass: diagonal, payload's, off */
     double inner_row, end_row;                 /* kg, its row sums */
     double inner_weight, end_weight;           /* N, upwards */
@@ -83,7 +84,7 @@ struct ChainKernel {
     State state, trial;                        /* committed, and during a communication step */
     Vector *r1, *w1, *a1;                      /* end of an internal step */
     double *tension1;
-    Vector *a0, *d0, *d1;                      /* start of an internal step; element vectors */
+    Vector *a0, *d0, *d1, *moved;              /* its start; element vectors; displacements */
     double *l0;
     Vector *unknown;                           /* residual, then correction */
     Block *tangent;                            /* of the elements */
@@ -128,12 +129,12 @@ static inline double row_mass(const ChainKernel *k, int i) {
 
 /* Axial force N = EA (l - L0)/L0, N, tension positive. */
 static double axial_force(const ChainKernel *k, double length) {
-    return k->settings.EA * (length - k->L0) / k->L0;
+    return k->axial * (length - k->L0);
 }
 
 /* K = EA/L0 c c^T + N/l (1 - c c^T), (12) in global axes, N/m. */
 static Block element_tangent(const ChainKernel *k, Vector d) {
-    double length = norm(d), elastic = k->settings.EA / k->L0;
+    double length = norm(d), elastic = k->axial;
     double geometric = axial_force(k, length) / length;
     Vector c = {d.x / length, d.y / length};
     double across = elastic - geometric;
@@ -190,7 +191,7 @@ static double potential_energy(const ChainKernel *k, const Vector *r) {
         stretch2 += stretch * stretch;
         weight += (i < k->n - 1 ? k->inner_weight : k->end_weight) * r[i].y;
     }
-    return 0.5 * k->settings.EA / k->L0 * stretch2 - weight - k->rest_potential;
+    return 0.5 * k->axial * stretch2 - weight - k->rest_potential;
 }
 
 static double mechanical_energy(const ChainKernel *k, const Vector *r, const Vector *w, double v) {
@@ -286,13 +287,13 @@ static int factor_and_solve(ChainKernel *k, double inertia, Vector *x) {
 /* ---- energy_momentum.py ---- */
 
 /* pull = k (d0 + d1)/2, k = [EA/L0 (l0 + l1 - 2 L0) + 2 eta (l1 - l0)]/(l0 + l1), eta in N/m. */
-static inline ElementForce element_force(double axial, double L0, double viscosity, Vector d0,
-                                         double l0, Vector d1) {
+static inline ElementForce element_force(const ChainKernel *k, double viscosity, int e) {
     ElementForce f;
-    double l1 = norm(d1), total = l0 + l1;
-    f.tension = axial * 0.5 * ((l0 - L0) + (l1 - L0)) + viscosity * (l1 - l0);
+    Vector d0 = k->d0[e], d1 = k->d1[e];
+    double l0 = k->l0[e], l1 = norm(d1), total = l0 + l1;
+    f.tension = 0.5 * (axial_force(k, l0) + axial_force(k, l1)) + viscosity * (l1 - l0);
     double stiffness = 2.0 * f.tension / total;
-    double slope = (axial + 2.0 * viscosity - stiffness) / (total * l1);
+    double slope = (k->axial + 2.0 * viscosity - stiffness) / (total * l1);
     Vector middle = {0.5 * (d0.x + d1.x), 0.5 * (d0.y + d1.y)};
     f.pull = (Vector){stiffness * middle.x, stiffness * middle.y};
     f.tangent = (Block){slope * middle.x * d1.x + 0.5 * stiffness, slope * middle.x * d1.y,
@@ -312,7 +313,7 @@ static inline Vector turned(Vector d, double angle, double factor) {
 static inline double expected_stretch(const ChainKernel *k, const State *s, double viscosity,
                                       int e) {
     double change = s->tension[e] - axial_force(k, k->l0[e]);
-    double factor = 1.0 + change / ((0.5 * k->settings.EA / k->L0 + viscosity) * k->l0[e]);
+    double factor = 1.0 + change / ((0.5 * k->axial + viscosity) * k->l0[e]);
     return larger(factor, LEAST_STRETCH);
 }
 
@@ -328,53 +329,56 @@ static void em_result(ChainKernel *k, const State *s, Load load, double h, doubl
                       StepResult *result) {
     double air = k->settings.damping_air;
     double trolley_v = load.trolley_v + 0.5 * h * load.trolley_a, trolley_dx = h * trolley_v;
-    double stretch2 = 0.0, axial = k->settings.EA / k->L0;
+    double stretch2 = 0.0;
     Vector top_pull = {0.0, 0.0};
     for (int i = 0; i < k->n; i++) {
-        ElementForce f = element_force(axial, k->L0, viscosity, k->d0[i], k->l0[i], k->d1[i]);
+        ElementForce f = element_force(k, viscosity, i);
         double stretch = norm(k->d1[i]) - k->l0[i];
         stretch2 += stretch * stretch;
         k->tension1[i] = f.tension;
         if (i == 0) top_pull = f.pull;
-        Vector moved = minus(k->r1[i], s->r[i]);
+        Vector moved = k->moved[i];
         k->w1[i] = (Vector){2.0 / h * moved.x - s->w[i].x, 2.0 / h * moved.y - s->w[i].y};
     }
-    double mean_w = (k->r1[0].x - s->r[0].x) / h;
+    double mean_w = k->moved[0].x / h;
     double node1_a = (k->w1[0].x - s->w[0].x) / h + air * mean_w;
     double row = 0.5 * k->inner_row;
     result->trolley_fx =
         row * (load.trolley_a + air * trolley_v) + k->coupling * node1_a - top_pull.x;
     result->work_trolley = result->trolley_fx * trolley_dx;
     result->work_payload =
-        load.payload_fx * (k->r1[k->n - 1].x - s->r[k->n - 1].x + trolley_dx);
+        load.payload_fx * (k->moved[k->n - 1].x + trolley_dx);
     result->dissipated = viscosity * stretch2;
     if (air != 0.0) {
-        for (int i = 0; i < k->n; i++) {
-            Vector moved = minus(k->r1[i], s->r[i]);
-            k->unknown[i] = (Vector){moved.x / h, moved.y / h};
-        }
+        for (int i = 0; i < k->n; i++)
+            k->unknown[i] = (Vector){k->moved[i].x / h, k->moved[i].y / h};
         result->dissipated += 2.0 * air * h * kinetic_energy(k, k->unknown, trolley_v);
     }
 }
 
-/* Positions r1 from the element vectors d1. */
-static void add_up(const Vector *d1, Vector *r1, int n) {
-    r1[0] = d1[0];
-    for (int e = 1; e < n; e++) r1[e] = (Vector){r1[e - 1].x + d1[e].x, r1[e - 1].y + d1[e].y};
+/* Displacements of a step and positions r1 at its end, from the element vectors.
+   At rest they are 0 and r0 to the last digit, which sums of the vectors themselves are not. */
+static void move_nodes(ChainKernel *k, const State *s) {
+    Vector *moved = k->moved, sum = {0.0, 0.0};
+    for (int e = 0; e < k->n; e++) {
+        sum = (Vector){sum.x + (k->d1[e].x - k->d0[e].x), sum.y + (k->d1[e].y - k->d0[e].y)};
+        moved[e] = sum;
+        k->r1[e] = (Vector){s->r[e].x + sum.x, s->r[e].y + sum.y};
+    }
 }
 
 /* Out-of-balance forces of a step that ends with d1, r1, into k->unknown; tangents, too. */
 static void em_residual(ChainKernel *k, const State *s, Load load, double h, double viscosity,
                         double inertia) {
-    double axial = k->settings.EA / k->L0, trolley_v = load.trolley_v + 0.5 * h * load.trolley_a;
+    double trolley_v = load.trolley_v + 0.5 * h * load.trolley_a;
     Vector *change = k->w1; /* w1 is free until the step is done */
     for (int i = 0; i < k->n; i++) {
-        Vector moved = minus(k->r1[i], s->r[i]);
+        Vector moved = k->moved[i];
         change[i] = (Vector){inertia * moved.x - 2.0 / h * s->w[i].x,
                              inertia * moved.y - 2.0 / h * s->w[i].y};
     }
     for (int i = 0; i < k->n; i++) {
-        ElementForce f = element_force(axial, k->L0, viscosity, k->d0[i], k->l0[i], k->d1[i]);
+        ElementForce f = element_force(k, viscosity, i);
         Vector steady = applied(k, load, trolley_v, i);
         k->tangent[i] = f.tangent;
         k->unknown[i] = minus(minus(steady, mass_times(k, change, i)), f.pull);
@@ -463,20 +467,20 @@ static void predict(ChainKernel *k, const State *s, Load load, double h, double 
 /* One step: M (w1 - w0)/h + alpha M (w0 + w1)/2 + F(r0, r1) = f - b (a + alpha v). */
 static int em_step(ChainKernel *k, const State *s, Load load, double h, StepResult *result) {
     const ChainSettings *p = &k->settings;
-    double viscosity = p->EA / k->L0 * (p->damping_chain / h + AXIAL_DISSIPATION);
+    double viscosity = k->axial * (p->damping_chain / h + AXIAL_DISSIPATION);
     double inertia = 2.0 / (h * h) + p->damping_air / h, last = 0.0;
     predict(k, s, load, h, viscosity);
     for (int iteration = 1; iteration <= EM_MAX_ITERATIONS; iteration++) {
         result->iterations = iteration;
-        add_up(k->d1, k->r1, k->n);
+        move_nodes(k, s);
         em_residual(k, s, load, h, viscosity, inertia);
         if (!factor_and_solve(k, inertia, k->unknown)) return CHAIN_NOT_CONVERGED;
         double size = size_of(k->unknown, k->n);
         if (!(size < p->length) || (iteration > 2 && size > DIVERGENCE * last) ||
-            !correct(k->unknown, k->d1, k->n))
+            (size > ROUND_OFF * p->length && !correct(k->unknown, k->d1, k->n)))
             return CHAIN_NOT_CONVERGED;
         if (size <= EM_DISPLACEMENT_TOLERANCE * p->length) {
-            add_up(k->d1, k->r1, k->n);
+            move_nodes(k, s);
             em_result(k, s, load, h, viscosity, result);
             return CHAIN_OK;
         }
@@ -490,7 +494,7 @@ static int em_step(ChainKernel *k, const State *s, Load load, double h, StepResu
 /* Axial force with the chain's damping, N. */
 static double axial(const ChainKernel *k, Vector d, double length, Vector dw) {
     double tau = k->settings.damping_chain, force = axial_force(k, length);
-    return tau == 0.0 ? force : force + k->settings.EA * tau / k->L0 * dot(d, dw) / length;
+    return tau == 0.0 ? force : force + k->axial * tau * dot(d, dw) / length;
 }
 
 /* applied - M a - C w - f_sigma, (21), into k->unknown; ``a`` may be NULL. */
@@ -775,7 +779,7 @@ static size_t lay_out(ChainKernel *k, char *memory, int elements) {
     size_t used = rounded(sizeof(ChainKernel)), n = (size_t)elements;
     size_t state = chain_state_count(elements) * sizeof(double);
     double *committed = take(memory, &used, state), *trial = take(memory, &used, state);
-    Vector *vectors = take(memory, &used, 7 * n * sizeof(Vector));
+    Vector *vectors = take(memory, &used, 8 * n * sizeof(Vector));
     double *numbers = take(memory, &used, 2 * n * sizeof(double));
     Block *blocks = take(memory, &used, 4 * n * sizeof(Block));
     if (memory) {
@@ -787,7 +791,8 @@ static size_t lay_out(ChainKernel *k, char *memory, int elements) {
         k->a0 = vectors + 3 * n;
         k->d0 = vectors + 4 * n;
         k->d1 = vectors + 5 * n;
-        k->unknown = vectors + 6 * n;
+        k->moved = vectors + 6 * n;
+        k->unknown = vectors + 7 * n;
         k->tension1 = numbers;
         k->l0 = numbers + n;
         k->tangent = blocks;
@@ -807,6 +812,7 @@ static void discretise(ChainKernel *k) {
     const ChainSettings *p = &k->settings;
     double element = p->mass / k->n, half_weight = -0.5 * element * p->gravity;
     k->L0 = p->length / k->n;
+    k->axial = p->EA / k->L0;
     k->coupling = element / 6.0;
     k->inner_mass = 4.0 * k->coupling;
     k->end_mass = 2.0 * k->coupling + p->payload_mass;
