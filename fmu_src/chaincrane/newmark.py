@@ -25,7 +25,8 @@ from .chain import (
 from .errors import NotConverged
 from .scheme import Load, Motion, StepResult
 
-MAX_ITERATIONS = 200  # with the start's stiffness kept: a steel chain takes 20 to 60
+MAX_ITERATIONS = 200
+SLOW = (20, 1e-2)  # by this iteration corrections are to be this part of the first, or give up
 DISPLACEMENT_TOLERANCE = 1e-6  # step V (f): of |q|
 FORCE_TOLERANCE = 1e-7  # of the weight of chain and payload
 
@@ -72,7 +73,7 @@ class Newmark:
         trolley_v1 = load.trolley_v + h * load.trolley_a
         applied = self._applied(load, trolley_v1)
         increment = np.zeros_like(r)
-        correction = increment
+        correction, first = increment, 0.0
         for iteration in range(MAX_ITERATIONS + 1):
             a1 = 4.0 / h**2 * increment - 4.0 / h * w - a  # (18)
             w1 = 2.0 / h * increment - w  # (19)
@@ -85,7 +86,8 @@ class Newmark:
                     tension = self._tension(r1, w1)
                     end = Motion(r1, w1, tension, a1)
                     return self._result(motion, load, h, end, iteration)
-                if not moved < 1.0:
+                first = moved if iteration == 1 else first
+                if not moved < 1.0 or (iteration == SLOW[0] and moved > SLOW[1] * first):
                     break
             correction = factors.solve(residual)  # (17), (22)
             increment = increment + correction  # (23)

@@ -18,6 +18,8 @@ static const double DIVERGENCE = 3.0;
 static const double LEAST_STRETCH = 0.1;
 /* newmark.py */
 static const int NEWMARK_MAX_ITERATIONS = 200;
+static const int SLOW_ITERATION = 20;
+static const double SLOW_SHARE = 1e-2;
 static const double NEWMARK_DISPLACEMENT_TOLERANCE = 1e-6;
 static const double NEWMARK_FORCE_TOLERANCE = 1e-7;
 /* nonlinear.py */
@@ -606,7 +608,7 @@ static int newmark_step(ChainKernel *k, const State *s, Load load, double h, Ste
     if (!factor(k, 4.0 / (h * h) + 2.0 / h * p->damping_air)) return CHAIN_SINGULAR;
 
     /* III-IV. effective load (16) and a first increment (17); V. iteration (18)-(23) */
-    double v1 = load.trolley_v + h * load.trolley_a, correction2 = 0.0;
+    double v1 = load.trolley_v + h * load.trolley_a, correction2 = 0.0, first = 0.0;
     double weight = p->gravity * k->total_mass;
     Vector *increment = k->d0; /* d0 is free in this scheme */
     memset(increment, 0, nodes);
@@ -633,7 +635,9 @@ static int newmark_step(ChainKernel *k, const State *s, Load load, double h, Ste
                 newmark_result(k, s, load, h, result);
                 return CHAIN_OK;
             }
-            if (!(moved < 1.0)) return CHAIN_NOT_CONVERGED;
+            if (iteration == 1) first = moved;
+            if (!(moved < 1.0) || (iteration == SLOW_ITERATION && moved > SLOW_SHARE * first))
+                return CHAIN_NOT_CONVERGED;
         }
         solve(k, k->unknown);                                                      /* (17), (22) */
         correction2 = 0.0;
