@@ -289,12 +289,12 @@ def fmu_ratio(rounds: int) -> tuple[float, float]:
             for number in range(4000):
                 slave.setReal([0, 1, 2], [SPEED if number < 1000 else 0.0, 0.0, 0.0])
                 slave.doStep(currentCommunicationPoint=1e-3 * number, communicationStepSize=1e-3)
-                slave.getReal([18, 19, 22, 24, 25, 26, 27])
+                slave.getReal(list(range(20, 27)))
 
-        ours, nothing = timed([lambda: run(slaves[0]), lambda: run(slaves[1])], rounds)
+        ours, idle = timed([lambda: run(slaves[0]), lambda: run(slaves[1])], rounds)
         for folder in folders:
             shutil.rmtree(folder, ignore_errors=True)
-    ratio = statistics.median(a / b for a, b in zip(ours, nothing, strict=True))
+    ratio = statistics.median(a / b for a, b in zip(ours, idle, strict=True))
     return statistics.median(ours), ratio
 
 

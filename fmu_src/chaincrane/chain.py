@@ -40,6 +40,19 @@ def element_mass(mu: float, L0: float) -> Array:
     return np.asarray(mu * L0 / 6.0 * np.kron(coupled, np.eye(2)), dtype=float)
 
 
+def averaged_element_mass(mu: float, L0: float) -> Array:
+    """Mean of the consistent mass matrix (11) and the lumped one, ours, kg, shape (4, 4).
+
+    M_e = mu L0 / 12 [5 0 1 0; 0 5 0 1; 1 0 5 0; 0 1 0 5]. The leading dispersion errors of the two
+    cancel on a uniform string: it carries its waves more faithfully at the same mesh.
+    """
+    lumped = 0.5 * mu * L0 * np.eye(4)
+    return 0.5 * (element_mass(mu, L0) + lumped)
+
+
+ELEMENT_MASS = {"consistent": element_mass, "averaged": averaged_element_mass}
+
+
 def element_weight(mu: float, L0: float, gravity: float) -> Array:
     """Weight of a truss element on its two nodes, (13): each gets half, N, shape (4,).
 
@@ -116,23 +129,23 @@ class DiscreteChain:
     elements: int
     L0: float  # m, unstretched element length
     mu: float  # kg/m
-    mass_diagonal: Array  # kg, (n,), node's entry of the consistent mass
+    mass_diagonal: Array  # kg, (n,), each node's entry of the mass matrix
     mass_coupling: float  # kg, between neighbours (node 0 and node 1 too)
-    row_mass: Array  # kg, (n,), row sums of the consistent mass, node 0's column included
+    row_mass: Array  # kg, (n,), row sums of the mass matrix, node 0's column included
     weight: Array  # N, (n, 2)
     rest: Array  # m, (n, 2), hanging equilibrium
 
     @property
-    def node0_mass(self) -> tuple[float, float]:
-        """Node 0's diagonal entry and row sum of the consistent mass, kg."""
-        return self.mu * self.L0 / 3.0, self.mu * self.L0 / 2.0
+    def row_mass0(self) -> float:
+        """Row sum of node 0, kg: half an element."""
+        return 0.5 * self.mu * self.L0
 
 
-def discretise(crane: Crane, elements: int) -> DiscreteChain:
+def discretise(crane: Crane, elements: int, mass_matrix: str = "consistent") -> DiscreteChain:
     """Cut ``crane``'s chain into ``elements`` equal truss elements."""
     L0 = crane.chain.length / elements
     mu = crane.chain.mass / crane.chain.length
-    element = element_mass(mu, L0)
+    element = ELEMENT_MASS[mass_matrix](mu, L0)
     own, coupling = float(element[0, 0]), float(element[0, 2])
     diagonal = np.full(elements, 2.0 * own)
     diagonal[-1] = own + crane.payload.mass
@@ -161,7 +174,7 @@ def straight_chain(chain: DiscreteChain, sway_angle: float) -> Array:
 
 
 def mass_times(chain: DiscreteChain, nodal: Array) -> Array:
-    """M_ff times a nodal quantity (n, 2), the free nodes' consistent mass."""
+    """M_ff times a nodal quantity (n, 2), the free nodes' mass matrix."""
     product = chain.mass_diagonal[:, None] * nodal
     product[1:] += chain.mass_coupling * nodal[:-1]
     product[:-1] += chain.mass_coupling * nodal[1:]

@@ -41,7 +41,9 @@ class CraneModel(ABC):
         self.initial = initial or Initial()
         self.numerics = numerics or Numerics()
         check(self.crane, self.initial, self.numerics)
-        self.chain: DiscreteChain = discretise(self.crane, self.numerics.elements)
+        self.chain: DiscreteChain = discretise(
+            self.crane, self.numerics.elements, self.numerics.mass_matrix
+        )
         self.time = 0.0
         self.trolley = Trolley(v=self.initial.speed)
         self.effort = Effort()

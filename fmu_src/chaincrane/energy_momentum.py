@@ -198,7 +198,7 @@ class EnergyMomentum:
         viscosity = crane.chain.EA / chain.L0 * (crane.damping.chain / h + AXIAL_DISSIPATION)
         force = element_force(crane.chain.EA, chain.L0, viscosity, d0, d1)
         air = crane.damping.air
-        _, row = chain.node0_mass
+        row = chain.row_mass0
         mean_w = moved / h
         node1_a = (w1[0, 0] - motion.w[0, 0]) / h + air * mean_w[0, 0]
         trolley_fx = (

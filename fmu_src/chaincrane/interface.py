@@ -101,6 +101,14 @@ PARAMETERS = (
         " the linear crane steps exactly",
         kind="String",
     ),
+    parameter(
+        "chain.mass_matrix",
+        None,
+        _NUMERICS.mass_matrix,
+        "mass matrix of an element: consistent (the paper's) or averaged with the lumped one, which"
+        " halves the mesh's error",
+        kind="String",
+    ),
 )
 
 OUTPUTS = (
@@ -165,5 +173,10 @@ def settings(values: Mapping[str, Any]) -> tuple[Crane, Initial, Numerics]:
         damping=Damping(full["damping.air"], full["damping.chain"]),
     )
     initial = Initial(full["initial.speed"], full["initial.sway_angle"])
-    numerics = Numerics(full["chain.elements"], full["solver.max_step"], full["solver.scheme"])
+    numerics = Numerics(
+        full["chain.elements"],
+        full["solver.max_step"],
+        full["solver.scheme"],
+        full["chain.mass_matrix"],
+    )
     return crane, initial, numerics

@@ -14,10 +14,10 @@ from typing import Any
 from .errors import BadState, CraneError, EnergyBalanceBroken, NotConverged
 from .interface import OUTPUTS
 from .ledger import Effort, Ledger
-from .parameters import SCHEMES, Crane, Initial, Numerics, check
+from .parameters import MASS_MATRICES, SCHEMES, Crane, Initial, Numerics, check
 from .trolley import Trolley, checked_move
 
-KERNEL_VERSION = 1  # CHAIN_KERNEL_VERSION of the header that the structures below mirror
+KERNEL_VERSION = 2  # CHAIN_KERNEL_VERSION of the header that the structures below mirror
 _OK, _NOT_CONVERGED, _SINGULAR, _STEP_ENERGY, _TOTAL_ENERGY, _BAD_VALUE = range(6)
 _HEADER = 17  # doubles of the state before its arrays, in the order of CraneModel.save()
 _PLATFORMS = {
@@ -50,6 +50,7 @@ class _Settings(ctypes.Structure):
         ),
         ("elements", ctypes.c_int),
         ("scheme", ctypes.c_int),
+        ("mass_matrix", ctypes.c_int),
     ]
 
 
@@ -119,6 +120,7 @@ class NativeCrane:
             self.numerics.max_step,
             elements,
             SCHEMES.index(self.numerics.scheme),
+            MASS_MATRICES.index(self.numerics.mass_matrix),
         )
         self._memory = (ctypes.c_double * (c.chain_memory(elements) // 8))()
         self._kernel = c.chain_create(self._memory, ctypes.byref(settings))

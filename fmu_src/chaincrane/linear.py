@@ -83,9 +83,9 @@ class StateSpace:
     outputs: tuple[str, ...]
 
 
-def state_space(crane: Crane, elements: int) -> StateSpace:
+def state_space(crane: Crane, elements: int, mass_kind: str = "consistent") -> StateSpace:
     """The paper's state space (32) for control design; pass A, B, C, D on to python-control."""
-    chain = discretise(crane, elements)
+    chain = discretise(crane, elements, mass_kind)
     n = elements
     M, K = mass_matrix(chain), stiffness_matrix(chain)
     A = np.zeros((2 * n, 2 * n))
@@ -273,7 +273,7 @@ class LinearCrane(CraneModel):
     def _drive_force(self, trolley_v: float, trolley_a: float) -> float:
         """Force of the drive on the chain, N: node 0's row of (31)."""
         chain, air = self.chain, self.crane.damping.air
-        _, row = chain.node0_mass
+        row = chain.row_mass0
         q, rate, acceleration = (
             float(self.modes.shapes[0] @ modal)
             for modal in (self._motion.eta, self._motion.rate, self._rate_of_rate)

@@ -28,7 +28,8 @@ from .scheme import Load, Motion, StepResult
 MAX_ITERATIONS = 200
 SLOW = (20, 1e-2)  # by this iteration corrections are to be this part of the first, or give up
 DISPLACEMENT_TOLERANCE = 1e-6  # step V (f): of |q|
-FORCE_TOLERANCE = 1e-7  # of the weight of chain and payload
+FORCE_TOLERANCE = 1e-8  # of the weight of chain and payload, besides
+ROUND_OFF = 2e-16  # of EA n: a position's last digit times an element's stiffness
 
 
 class Newmark:
@@ -38,7 +39,10 @@ class Newmark:
         self.chain = chain
         crane = chain.crane
         self._mass = banded.mass_bands(chain)
-        self._weight = crane.gravity * (crane.chain.mass + crane.payload.mass)
+        weight = crane.gravity * (crane.chain.mass + crane.payload.mass)
+        self._force_tolerance = (
+            FORCE_TOLERANCE * weight + ROUND_OFF * crane.chain.EA * chain.elements
+        )
 
     def start(self, motion: Motion, load: Load) -> Motion:
         """Step I: accelerations from dynamic equilibrium, M a = f - f_sigma - C v."""
@@ -81,8 +85,8 @@ class Newmark:
             residual = applied - mass_times(chain, a1) - self._resisting(r1, w1)  # (21)
             if iteration:
                 moved = float(np.linalg.norm(correction) / np.linalg.norm(r1))
-                unbalanced = float(np.abs(residual).max()) / self._weight
-                if moved <= DISPLACEMENT_TOLERANCE and unbalanced <= FORCE_TOLERANCE:
+                unbalanced = float(np.abs(residual).max())
+                if moved <= DISPLACEMENT_TOLERANCE and unbalanced <= self._force_tolerance:
                     tension = self._tension(r1, w1)
                     end = Motion(r1, w1, tension, a1)
                     return self._result(motion, load, h, end, iteration)
@@ -126,7 +130,7 @@ class Newmark:
     def trolley_force(self, motion: Motion, trolley_v: float, trolley_a: float) -> float:
         """Horizontal force of the drive on the chain, N: node 0's row of dynamic equilibrium."""
         assert motion.a is not None
-        _, row = self.chain.node0_mass
+        row = self.chain.row_mass0
         air = self.chain.crane.damping.air
         node1 = motion.a[0, 0] + air * motion.w[0, 0]
         carried = row * (trolley_a + air * trolley_v) + self.chain.mass_coupling * node1

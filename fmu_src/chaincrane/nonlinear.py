@@ -98,7 +98,7 @@ class NonlinearCrane(CraneModel):
         )
 
     def _jump(self, state: NonlinearState, before: float, after: float) -> NonlinearState:
-        """The trolley's velocity jumps, m/s: the impulse of the consistent mass on the free nodes.
+        """The trolley's velocity jumps, m/s: the impulse of the mass matrix on the free nodes.
 
         M_ff dw = -b dv, with b the row sums; the drive's impulse works at the mean velocity.
         """
@@ -109,7 +109,7 @@ class NonlinearCrane(CraneModel):
         push[:, 0] = -self.chain.row_mass * dv
         dw = self._mass.solve(push)
         motion = Motion(state.motion.r, state.motion.w + dw, state.motion.tension)
-        _, row = self.chain.node0_mass
+        row = self.chain.row_mass0
         impulse = row * dv + self.chain.mass_coupling * float(dw[0, 0])
         energy = self._energy(motion, after)
         return replace(

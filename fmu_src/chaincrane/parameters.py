@@ -16,6 +16,7 @@ from .errors import BadValue
 MAX_ELEMENTS = 10_000
 MATERIAL_POINTS = 10  # of the chain that are outputs: chain.x[i], chain.y[i]
 SCHEMES = ("energy_momentum", "newmark")
+MASS_MATRICES = ("consistent", "averaged")
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Numerics:
     elements: int = 10  # number of finite elements
     max_step: float = 1e-3  # s, longest internal step
     scheme: str = "energy_momentum"  # or "newmark", the paper's
+    mass_matrix: str = "consistent"  # the paper's, or "averaged", ours
 
 
 # Maourane & Szabo (2020), section 2.3; the stiffness is ours, the paper gives none.
@@ -125,3 +127,6 @@ def check(crane: Crane, initial: Initial, numerics: Numerics) -> None:
     check_number("solver.max_step", numerics.max_step, _POSITIVE, test=lambda v: v > 0)
     if numerics.scheme not in SCHEMES:
         raise BadValue("solver.scheme", numerics.scheme, "one of " + ", ".join(SCHEMES))
+    if numerics.mass_matrix not in MASS_MATRICES:
+        allowed = "one of " + ", ".join(MASS_MATRICES)
+        raise BadValue("chain.mass_matrix", numerics.mass_matrix, allowed)

@@ -21,7 +21,8 @@ static const int NEWMARK_MAX_ITERATIONS = 200;
 static const int SLOW_ITERATION = 20;
 static const double SLOW_SHARE = 1e-2;
 static const double NEWMARK_DISPLACEMENT_TOLERANCE = 1e-6;
-static const double NEWMARK_FORCE_TOLERANCE = 1e-7;
+static const double NEWMARK_FORCE_TOLERANCE = 1e-8;
+static const double NEWMARK_ROUND_OFF = 2e-16;
 /* nonlinear.py */
 static const int MAX_HALVINGS = 12;
 static const double STEP_ENERGY_TOLERANCE = 1e-3;
@@ -78,7 +79,7 @@ struct ChainKernel {
     ChainSettings settings;
     int n;
     double L0, axial;                          /* m, unstretched element; N/m, EA/L0 */
-    double inner_mass, end_mass, coupling;     /* kg, consistent mass: diagonal, payload's, off */
+    double inner_mass, end_mass, coupling;     /* kg, mass matrix: diagonal, payload's, off */
     double inner_row, end_row;                 /* kg, its row sums */
     double inner_weight, end_weight;           /* N, upwards */
     double total_mass;                         /* kg, chain and payload */
@@ -160,7 +161,7 @@ static void straight_chain(const ChainKernel *k, double sway_angle, Vector *r) {
     }
 }
 
-/* Row i of M_ff times a nodal quantity, the free nodes' consistent mass (11). */
+/* Row i of M_ff times a nodal quantity, the free nodes' mass matrix (11). */
 static inline Vector mass_times(const ChainKernel *k, const Vector *nodal, int i) {
     double own = node_mass(k, i);
     Vector product = {own * nodal[i].x, own * nodal[i].y};
@@ -609,7 +610,8 @@ static int newmark_step(ChainKernel *k, const State *s, Load load, double h, Ste
 
     /* III-IV. effective load (16) and a first increment (17); V. iteration (18)-(23) */
     double v1 = load.trolley_v + h * load.trolley_a, correction2 = 0.0, first = 0.0;
-    double weight = p->gravity * k->total_mass;
+    double force_tolerance =
+        NEWMARK_FORCE_TOLERANCE * p->gravity * k->total_mass + NEWMARK_ROUND_OFF * p->EA * n;
     Vector *increment = k->d0; /* d0 is free in this scheme */
     memset(increment, 0, nodes);
     for (int iteration = 0; iteration <= NEWMARK_MAX_ITERATIONS; iteration++) {
@@ -628,10 +630,10 @@ static int newmark_step(ChainKernel *k, const State *s, Load load, double h, Ste
             double moved = sqrt(correction2) / sqrt(size2);
             for (int i = 0; i < n; i++) {
                 Vector f = k->unknown[i];
-                unbalanced = larger(unbalanced, larger(fabs(f.x), fabs(f.y)) / weight);
+                unbalanced = larger(unbalanced, larger(fabs(f.x), fabs(f.y)));
                 if (!is_finite(f.x + f.y)) return CHAIN_NOT_CONVERGED;
             }
-            if (moved <= NEWMARK_DISPLACEMENT_TOLERANCE && unbalanced <= NEWMARK_FORCE_TOLERANCE) {
+            if (moved <= NEWMARK_DISPLACEMENT_TOLERANCE && unbalanced <= force_tolerance) {
                 newmark_result(k, s, load, h, result);
                 return CHAIN_OK;
             }
@@ -811,17 +813,17 @@ int chain_version(void) { return CHAIN_KERNEL_VERSION; }
 
 size_t chain_memory(int elements) { return lay_out(NULL, NULL, elements); }
 
-/* Consistent mass (11), weight (13) and rest position of the chain cut into equal elements. */
+/* Mass matrix (11), weight (13) and rest position of the chain cut into equal elements. */
 static void discretise(ChainKernel *k) {
     const ChainSettings *p = &k->settings;
     double element = p->mass / k->n, half_weight = -0.5 * element * p->gravity;
     k->L0 = p->length / k->n;
     k->axial = p->EA / k->L0;
-    k->coupling = element / 6.0;
-    k->inner_mass = 4.0 * k->coupling;
-    k->end_mass = 2.0 * k->coupling + p->payload_mass;
-    k->inner_row = 6.0 * k->coupling;
-    k->end_row = 3.0 * k->coupling + p->payload_mass;
+    k->coupling = p->mass_matrix == CHAIN_AVERAGED ? element / 12.0 : element / 6.0;
+    k->inner_mass = element - 2.0 * k->coupling;
+    k->end_mass = 0.5 * element - k->coupling + p->payload_mass;
+    k->inner_row = element;
+    k->end_row = 0.5 * element + p->payload_mass;
     k->inner_weight = 2.0 * half_weight;
     k->end_weight = half_weight - p->payload_mass * p->gravity;
     k->total_mass = p->mass + p->payload_mass;

@@ -19,9 +19,11 @@
 #endif
 
 /* Raised whenever the layout of a struct here, of the state or of the outputs changes. */
-enum { CHAIN_KERNEL_VERSION = 1 };
+enum { CHAIN_KERNEL_VERSION = 2 };
 
 enum { CHAIN_ENERGY_MOMENTUM = 0, CHAIN_NEWMARK = 1 };
+
+enum { CHAIN_CONSISTENT = 0, CHAIN_AVERAGED = 1 };
 
 enum {
     CHAIN_OK = 0,
@@ -44,6 +46,7 @@ typedef struct {
     double max_step;                   /* s */
     int elements;
     int scheme;
+    int mass_matrix;
 } ChainSettings;
 
 /* Why a step failed. */
