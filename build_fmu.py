@@ -98,6 +98,8 @@ def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Pa
             dest=scratch,
             project_files=[folder / f"{PACKAGE}_{tag}", folder / f"{SLAVE}_{tag}.py"],
         )
+        for name in [name for name in sys.modules if f"_{tag}" in name]:
+            del sys.modules[name]  # an FMU that is run in this process later loads its own
         with zipfile.ZipFile(raw) as archive:
             entries = {name: archive.read(name) for name in archive.namelist()}
     entries.update(native)

@@ -17,19 +17,25 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import hypot, isfinite, sqrt
 from multiprocessing import Pool
 from pathlib import Path
 from random import Random
 from time import perf_counter
+from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fmu_src"))
+SOURCES = Path(__file__).resolve().parents[1] / "fmu_src"
+sys.path[:0] = [str(SOURCES), str(SOURCES / "native")]
+
+import compile_kernel  # noqa: E402
 
 from chaincrane.errors import CraneError
 from chaincrane.interface import OUTPUTS
-from chaincrane.kernel import NativeCrane
+from chaincrane.kernel import NativeCrane, load_library
 from chaincrane.parameters import SCHEMES, Chain, Crane, Initial, Numerics, Payload
 
 ELEMENTS = (2, 5, 10, 20, 50)
@@ -122,11 +128,19 @@ def reach(case: Case) -> float:
     return crane.chain.length * (1.0 + at_rest + sqrt(2.0 * energy / case.EA / crane.chain.length))
 
 
+@cache
+def kernel() -> Any:
+    """The C kernel, compiled for this host, once in a process."""
+    with tempfile.TemporaryDirectory() as scratch:
+        return load_library(str(compile_kernel.compile_for_host(Path(scratch))))
+
+
 def run(case: Case) -> Outcome:
     """Run one case to its end, or to its error."""
     crane = case.crane()
     initial = Initial(speed=case.speed if case.travelling else 0.0)
-    model = NativeCrane(crane, initial, Numerics(case.elements, case.step, case.scheme))
+    numerics = Numerics(case.elements, case.step, case.scheme)
+    model = NativeCrane(crane, initial, numerics, library=kernel())
     farthest = reach(case)
     at_stop = gained = defect = distance = 0.0
     error = None

@@ -10,8 +10,9 @@ heavy payload; the error is the payload's largest distance from the same model's
 - fmu: crane_nl.fmu under FMPy's FMU2Slave, a communication step of 1 ms, 3 inputs set and 7
   outputs read at each, beside a pythonfmu FMU that does nothing, with as many variables;
 - mujoco rk4, euler: MuJoCo, rigid links on hinges, which is the steel chain but for its stretch;
-- solve_ivp: SciPy's DOP853 and Radau on M a = f - f_sigma, a chain 7000 times softer: the steel
-  chain's axial vibrations would cost them hours.
+- solve_ivp: SciPy's DOP853 and Radau on M a = f - f_sigma, for a chain 7000 times softer: the steel
+  chain's axial vibrations would cost them hours. The kernel damps those that a step cannot resolve,
+  so on the undamped soft chain it needs the finer steps.
 
     python benchmarks/speed.py                  table on stdout
     python benchmarks/speed.py --plot work.svg  and a work-precision plot
@@ -38,7 +39,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src"), str(ROOT / "fmu_src" / "native
 import compile_kernel  # noqa: E402
 
 from chaincrane.chain import along_elements, axial_force, discretise, internal_force  # noqa: E402
-from chaincrane.kernel import NativeCrane, library_path, load_library  # noqa: E402
+from chaincrane.kernel import NativeCrane, load_library  # noqa: E402
 from chaincrane.nonlinear import NonlinearCrane  # noqa: E402
 from chaincrane.parameters import Chain, Crane, Initial, Numerics  # noqa: E402
 from chaincrane_driver.compare import markdown_table  # noqa: E402
@@ -140,11 +141,17 @@ def mujoco_chain(crane: Crane, elements: int) -> str:
     return f"<mujoco>{compiler}{options}<worldbody>{body}{end}{closing}</worldbody></mujoco>"
 
 
-def mujoco_points(library: Any, elements: int = 10) -> list[Point]:
-    """MuJoCo's RK4 and Euler at all steps. The stop is the same impulse, as hinge velocities."""
+RK4, EULER = 1, 0  # mjINT_RK4, mjINT_EULER
+
+
+def mujoco_run(crane: Crane, elements: int) -> Callable[[int, float, bool], np.ndarray | None]:
+    """The paper's run in MuJoCo, as a function of integrator, step and whether to look.
+
+    Seen from the trolley: a second at rest, then the stop's impulse as hinge velocities, 3 s of
+    swing. Returns the payload's path after the stop like :func:`samples`, or None where not looked.
+    """
     import mujoco
 
-    crane = Crane()
     model = mujoco.MjModel.from_xml_string(mujoco_chain(crane, elements))
     chain = discretise(crane, elements)
     M = np.diag(chain.mass_diagonal) + chain.mass_coupling * (
@@ -153,31 +160,37 @@ def mujoco_points(library: Any, elements: int = 10) -> list[Point]:
     after = np.linalg.solve(M, chain.row_mass * SPEED)  # relative velocities after the stop
     qvel = np.diff(np.diff(after, prepend=0.0) / chain.L0, prepend=0.0)
 
-    def run(integrator: int, h: float, sample: bool) -> np.ndarray | None:
+    def run(integrator: int, h: float, look: bool) -> np.ndarray | None:
         model.opt.integrator, model.opt.timestep = integrator, h
         data = mujoco.MjData(model)
-        rows = []
-        before, swing = round(STOP / h), round((END - STOP) / h)
-        mujoco.mj_step(model, data, nstep=before)
+        mujoco.mj_step(model, data, nstep=round(STOP / h))
         data.qvel[:] = qvel
-        if not sample:
-            mujoco.mj_step(model, data, nstep=swing)
+        if not look:
+            mujoco.mj_step(model, data, nstep=round((END - STOP) / h))
             return None
+        rows = []
         for _ in range(round((END - STOP) / SAMPLE)):
             mujoco.mj_step(model, data, nstep=round(SAMPLE / h))
             mujoco.mj_kinematics(model, data)
             rows.append(data.site_xpos[0][[0, 2]].copy())
         return np.array(rows)
 
-    rk4, euler = int(mujoco.mjtIntegrator.mjINT_RK4), int(mujoco.mjtIntegrator.mjINT_EULER)
-    truth = run(rk4, STEPS[-1], True)
+    return run
+
+
+def mujoco_points(library: Any, elements: int = 10) -> list[Point]:
+    """MuJoCo's RK4 and Euler, at steps that divide the interval of looking."""
+    crane = Crane()
+    run = mujoco_run(crane, elements)
+    truth = run(RK4, STEPS[-1], True)
     ours = samples(NativeCrane(crane, Initial(), Numerics(elements, 1e-5), library=library))
     assert truth is not None
     apart = distance(ours[round(STOP / SAMPLE) :], truth)
     print(f"MuJoCo's converged payload is {1e3 * apart:.4f} mm from ours (which stretches)\n")
     points = []
-    for name, integrator in (("mujoco rk4", rk4), ("mujoco euler", euler)):
-        for h in STEPS if integrator == rk4 else (1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5, 2e-5):
+    finer = (1e-4, 5e-5, 2e-5)
+    for name, integrator in (("mujoco rk4", RK4), ("mujoco euler", EULER)):
+        for h in STEPS if integrator == RK4 else (*STEPS[-3:], *finer):
             if abs(SAMPLE / h - round(SAMPLE / h)) > 1e-9:
                 continue
             path = run(integrator, h, True)
@@ -226,7 +239,7 @@ def solve_ivp_points(library: Any, elements: int = 10) -> list[Point]:
             error = distance(integrate(method, rtol), truth)
             job = lambda m=method, t=rtol: integrate(m, t)  # noqa: E731
             points.append(Point(f"solve_ivp {method}, soft", f"rtol {rtol:g}", error, job))
-    for h in STEPS[3:]:
+    for h in (*STEPS[3:], 1e-4, 5e-5):
         make = lambda h=h: NativeCrane(crane, Initial(), Numerics(n, h), library=library)  # noqa: E731
         error = distance(samples(make())[round(STOP / SAMPLE) :], truth)
         job = lambda m=make: paper_run(m())  # noqa: E731
@@ -263,10 +276,8 @@ def fmu_ratio(rounds: int) -> tuple[float, float]:
 
     with tempfile.TemporaryDirectory() as scratch:
         Path(scratch, "nothing.py").write_text(NOTHING)
-        files = [
-            build("crane_nl", Path(scratch)),
-            FmuBuilder.build_FMU(f"{scratch}/nothing.py", scratch),
-        ]
+        nothing = FmuBuilder.build_FMU(f"{scratch}/nothing.py", scratch)
+        files = [build("crane_nl", Path(scratch)), nothing]
         slaves, folders = [], []
         for file in files:
             description = read_model_description(str(file), validate=False)
@@ -382,9 +393,7 @@ def main() -> int:
     options = parser.parse_args()
 
     with tempfile.TemporaryDirectory() as scratch:
-        compile_kernel.compile_all(Path(scratch))
-        name = Path(library_path())
-        library = load_library(str(Path(scratch, name.parent.name, name.name)))
+        library = load_library(str(compile_kernel.compile_for_host(Path(scratch))))
     points = our_points(library)
     try:
         points += mujoco_points(library)

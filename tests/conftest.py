@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))  # build_fmu.py stands beside the packages, not in one
+# what is not in a package: build_fmu.py, compile_kernel.py, robustness.py and speed.py
+sys.path[:0] = [str(ROOT / folder) for folder in (".", "fmu_src/native", "benchmarks")]
 
 from build_fmu import build  # noqa: E402
 

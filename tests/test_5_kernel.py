@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+import robustness
+from compile_kernel import compile_for_host
 
 from chaincrane.errors import BadState, BadValue, CraneError
-from chaincrane.kernel import KernelMissing, NativeCrane, library_path, load_library
+from chaincrane.kernel import KernelMissing, NativeCrane, load_library
 from chaincrane.nonlinear import NonlinearCrane
 from chaincrane.parameters import (
     MAOURANE_SZABO_2020_HEAVY,
@@ -24,7 +24,6 @@ from chaincrane.parameters import (
     Payload,
 )
 
-COMPILE = Path(__file__).resolve().parents[1] / "fmu_src" / "native" / "compile_kernel.py"
 PAYLOADS = {"heavy": MAOURANE_SZABO_2020_HEAVY, "light": MAOURANE_SZABO_2020_LIGHT}
 PLACES = ("payload.x", "payload.y", *(f"chain.{c}[{i}]" for c in "xy" for i in range(1, 11)))
 
@@ -32,13 +31,7 @@ PLACES = ("payload.x", "payload.y", *(f"chain.{c}[{i}]" for c in "xy" for i in r
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The kernel, compiled for this machine."""
-    folder = tmp_path_factory.mktemp("native")
-    done = subprocess.run(
-        [sys.executable, str(COMPILE), str(folder)], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    name = Path(library_path()).name
-    return load_library(next(str(path) for path in folder.glob(f"*/{name}")))
+    return load_library(str(compile_for_host(tmp_path_factory.mktemp("native"))))
 
 
 def farthest(a: dict[str, float], b: dict[str, float]) -> float:
@@ -154,3 +147,34 @@ def test_a_missing_kernel_is_said(tmp_path: Path) -> None:
 def test_the_kernel_needs_no_numpy() -> None:
     code = "import sys, chaincrane.kernel; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize("step", [1e-3, 2e-3])
+def test_random_cranes_neither_fail_nor_lie(step: float) -> None:
+    """80 of the random cases of benchmarks/robustness.py, which runs 1200 at each step."""
+    for case in robustness.random_cases(80, 7, step, SCHEMES[0]):
+        outcome = robustness.run(case)
+        assert outcome.error is None, outcome
+        assert not outcome.wrong, outcome
+
+
+def test_a_minute_from_rest_keeps_its_books(library: Any) -> None:
+    """60 s, light payload, undamped, 1 ms: energy.error below 1e-3 of (M + m) v^2/2, and what the
+    scheme dissipates below 3 % of it (2.6 %: the axial vibrations of start and stop).
+    """
+    crane = NativeCrane(PAYLOADS["light"], Initial(speed=0.0), library=library)
+    crane.step(1.0, 0.8)
+    crane.step(59.0, 0.0)
+    out, scale = crane.outputs(), 0.5 * 0.29 * 0.8**2
+    assert abs(out["energy.error"]) < 1e-3 * scale
+    assert out["energy.dissipated"] < 0.03 * scale
+
+
+def test_the_cost_of_an_element_hardly_grows(library: Any) -> None:
+    """Iterations, which do not depend on the machine: n = 1000 takes less than twice n = 10's."""
+    effort = []
+    for elements in (10, 1000):
+        crane = NativeCrane(numerics=Numerics(elements=elements), library=library)
+        crane.step(0.3)
+        effort.append(crane.effort.iterations)
+    assert effort[1] < 2 * effort[0]

@@ -154,6 +154,7 @@ class LinearCrane(CraneModel):
         straight = mass_times(chain, np.outer(depth, [np.sin(self.initial.sway_angle), 0.0]))[:, 0]
         eta = self.modes.shapes.T @ straight
         self._motion = ModalMotion(eta, np.zeros_like(eta))
+        self._response = (0.0, eta, eta)  # of the last length of step, see free_response
         self._rate_of_rate = np.zeros_like(eta)
         self._trolley_fx = self._drive_force(0.0, 0.0)
         self._ledger = Ledger(start=self._energy(self._motion, self.trolley.v))
@@ -200,7 +201,9 @@ class LinearCrane(CraneModel):
         p0, p1 = self._forcing(v, a, payload_fx)
         c1 = p1 / squares
         c0 = (p0 - air * c1) / squares
-        s, s_dot = free_response(self.modes.omega, air, t)
+        if t != self._response[0]:  # steps are of one length, mostly
+            self._response = (t, *free_response(self.modes.omega, air, t))
+        _, s, s_dot = self._response
         eta, rate = motion.eta - c0, motion.rate - c1
         return ModalMotion(
             (s_dot + air * s) * eta + s * rate + c0 + c1 * t,

@@ -93,6 +93,13 @@ def compile_all(dest: Path) -> list[Path]:
     return [compile_with_cc(dest)] if has_cc() else []
 
 
+def compile_for_host(dest: Path) -> Path:
+    """This host's library alone; its path. Raises CalledProcessError, or FileNotFoundError."""
+    if has_zig():
+        return compile_with_zig(HOSTS[sys.platform], dest)
+    return compile_with_cc(dest)
+
+
 def main() -> int:
     """Compile what the command line asks for, and print the paths."""
     parser = argparse.ArgumentParser(
