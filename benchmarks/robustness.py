@@ -31,7 +31,7 @@ from typing import Any
 SOURCES = Path(__file__).resolve().parents[1] / "fmu_src"
 sys.path[:0] = [str(SOURCES), str(SOURCES / "native")]
 
-import compile_kernel  # noqa: E402
+import compile_kernel
 
 from chaincrane.errors import CraneError
 from chaincrane.interface import OUTPUTS

@@ -36,13 +36,13 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src"), str(ROOT / "fmu_src" / "native")]
 
-import compile_kernel  # noqa: E402
+import compile_kernel
 
-from chaincrane.chain import along_elements, axial_force, discretise, internal_force  # noqa: E402
-from chaincrane.kernel import NativeCrane, load_library  # noqa: E402
-from chaincrane.nonlinear import NonlinearCrane  # noqa: E402
-from chaincrane.parameters import Chain, Crane, Initial, Numerics  # noqa: E402
-from chaincrane_driver.compare import markdown_table  # noqa: E402
+from chaincrane.chain import along_elements, axial_force, discretise, internal_force
+from chaincrane.kernel import NativeCrane, load_library
+from chaincrane.nonlinear import NonlinearCrane
+from chaincrane.parameters import Chain, Crane, Initial, Numerics
+from chaincrane_driver.compare import markdown_table
 
 SPEED, STOP, END = 0.8, 1.0, 4.0  # m/s, s, s
 SAMPLE = 0.02  # s, where errors are looked at
