@@ -18,6 +18,7 @@ import zipfile
 from datetime import datetime, timezone
 from functools import cache
 from hashlib import sha256
+from importlib.metadata import distribution
 from pathlib import Path
 
 SOURCES = Path(__file__).resolve().parent / "fmu_src"
@@ -114,10 +115,21 @@ def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Pa
     page = entries["documentation/index.html"].decode()
     filled = model_description.documentation(model, digest, page)
     entries["documentation/index.html"] = filled.encode()
+    entries.update(licences())
     dest.mkdir(parents=True, exist_ok=True)
     fmu = dest / f"{model}.fmu"
     write_archive(fmu, entries, date)
     return fmu
+
+
+def licences() -> dict[str, bytes]:
+    """The licences of what an FMU carries, by FMU path."""
+    files = distribution("pythonfmu").files or []
+    theirs = next(file for file in files if file.name == "LICENSE")
+    return {
+        "documentation/licenses/chaincrane.txt": (SOURCES.parent / "LICENSE").read_bytes(),
+        "documentation/licenses/pythonfmu.txt": theirs.locate().read_bytes(),
+    }
 
 
 def write_archive(path: Path, entries: dict[str, bytes], date: datetime) -> None:

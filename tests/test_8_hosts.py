@@ -569,7 +569,8 @@ def test_the_same_sources_give_the_same_bytes(fmus: Path, tmp_path: Path) -> Non
     """On another path, on another day, in another process, with files dated otherwise."""
     copy = tmp_path / "elsewhere" / "tree"
     shutil.copytree(ROOT / "fmu_src", copy / "fmu_src", ignore=shutil.ignore_patterns("*cache*"))
-    shutil.copy(ROOT / "build_fmu.py", copy)
+    for name in ("build_fmu.py", "LICENSE"):
+        shutil.copy(ROOT / name, copy)
     for file in copy.rglob("*"):
         os.utime(file, (1e9, 1e9))
     subprocess.run([sys.executable, "build_fmu.py", "--dest", "out"], cwd=copy, check=True)
@@ -595,6 +596,7 @@ def test_entries_are_sorted_compressed_and_clean(fmus: Path) -> None:
         assert {info.compress_type for info in infos} == {zipfile.ZIP_DEFLATED}
         assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
         assert {"model.png", "documentation/index.html"} <= set(names)
+        assert "documentation/licenses/pythonfmu.txt" in names
 
 
 def test_the_fmu_says_which_sources_it_came_from(fmus: Path, tmp_path: Path) -> None:
