@@ -128,7 +128,7 @@ def licences() -> dict[str, bytes]:
     theirs = next(file for file in files if file.name == "LICENSE")
     return {
         "documentation/licenses/chaincrane.txt": (SOURCES.parent / "LICENSE").read_bytes(),
-        "documentation/licenses/pythonfmu.txt": theirs.locate().read_bytes(),
+        "documentation/licenses/pythonfmu.txt": theirs.read_binary(),
     }
 
 
