@@ -18,7 +18,10 @@ ROOT = Path(__file__).resolve().parent.parent
 # what is not in a package: build_fmu.py, compile_kernel.py, robustness.py and speed.py
 sys.path[:0] = [str(ROOT / folder) for folder in (".", "fmu_src/native", "benchmarks")]
 
+from compile_kernel import compile_for_host  # noqa: E402
+
 from build_fmu import build  # noqa: E402
+from chaincrane.kernel import load_library  # noqa: E402
 
 STOP_AT = 1.0  # s, when the paper's trolley stops
 SPEED = 0.8  # m/s, until then
@@ -32,6 +35,12 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for model in ("crane_nl", "crane_lin"):
         build(model, folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The C kernel, compiled for this machine as the FMU's is."""
+    return load_library(str(compile_for_host(tmp_path_factory.mktemp("native"))))
 
 
 def paper_motion() -> np.ndarray:

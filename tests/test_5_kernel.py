@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 import robustness
-from compile_kernel import compile_for_host
 
 from chaincrane.errors import BadState, BadValue, CraneError
 from chaincrane.kernel import KernelMissing, NativeCrane, load_library
@@ -28,12 +27,6 @@ from chaincrane.parameters import (
 
 PAYLOADS = {"heavy": MAOURANE_SZABO_2020_HEAVY, "light": MAOURANE_SZABO_2020_LIGHT}
 PLACES = ("payload.x", "payload.y", *(f"chain.{c}[{i}]" for c in "xy" for i in range(1, 11)))
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The kernel, compiled for this machine."""
-    return load_library(str(compile_for_host(tmp_path_factory.mktemp("native"))))
 
 
 def farthest(a: dict[str, float], b: dict[str, float]) -> float:
