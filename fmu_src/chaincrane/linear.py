@@ -134,6 +134,48 @@ def free_response(omega: Array, air: float, t: float) -> tuple[Array, Array]:
     return s, (0.5 * (slow + fast)).real - 0.5 * air * s
 
 
+@dataclass(frozen=True)
+class TautString:
+    """The string with its payload in modal coordinates: what moves it, and how it moves."""
+
+    modes: Modes
+    push: Array  # sqrt(kg), (n,), modal load of a trolley's deceleration of 1 m/s2
+    air: float  # 1/s, mass-proportional damping of the absolute velocity
+
+    def jump(self, motion: ModalMotion, dv: float) -> ModalMotion:
+        """The trolley's velocity jumps by ``dv`` m/s: an impulse -b dv on the free nodes."""
+        return ModalMotion(motion.eta, motion.rate - self.push * dv)
+
+    def forcing(self, v: float, a: float, payload_fx: float) -> tuple[Array, Array]:
+        """Modal load p0 + p1 t of a trolley at v + a t in air, and of the payload's force."""
+        p0 = -self.push * (a + self.air * v) + self.modes.shapes[-1] * payload_fx
+        return p0, -self.push * (self.air * a)
+
+    def propagate(
+        self, motion: ModalMotion, t: float, v: float, a: float, payload_fx: float
+    ) -> ModalMotion:
+        """Exact motion after ``t`` s: the matrix exponential of (32), a 2x2 block for each mode.
+
+        eta'' + alpha eta' + omega^2 eta = p0 + p1 t has the particular solution c0 + c1 t.
+        """
+        squares = self.modes.omega**2
+        p0, p1 = self.forcing(v, a, payload_fx)
+        c1 = p1 / squares
+        c0 = (p0 - self.air * c1) / squares
+        s, s_dot = free_response(self.modes.omega, self.air, t)
+        eta, rate = motion.eta - c0, motion.rate - c1
+        return ModalMotion(
+            (s_dot + self.air * s) * eta + s * rate + c0 + c1 * t,
+            s_dot * rate - squares * s * eta + c1,
+        )
+
+
+def taut_string(chain: DiscreteChain) -> TautString:
+    """The string that ``chain`` is, with its modes."""
+    found = modes(chain)
+    return TautString(found, found.shapes.T @ chain.row_mass, chain.crane.damping.air)
+
+
 class LinearCrane(CraneModel):
     """The paper's linear crane, any number of elements, stepped exactly."""
 
@@ -145,9 +187,9 @@ class LinearCrane(CraneModel):
     ) -> None:
         super().__init__(crane, initial, numerics)
         chain = self.chain
-        self.modes = modes(chain)
+        self.string = taut_string(chain)
+        self.modes = self.string.modes
         self._tension = hanging_tension(self.crane, chain.elements)
-        self._push = self.modes.shapes.T @ chain.row_mass  # modal load of a trolley acceleration
         self._seen = np.vstack((self._interpolation, np.eye(1, chain.elements)))
         self._seen = self._seen @ self.modes.shapes  # 11 material points, node 1
         depth = chain.L0 * np.arange(1, chain.elements + 1)
@@ -178,43 +220,13 @@ class LinearCrane(CraneModel):
     def _carried(self, motion: ModalMotion, trolley_v: float) -> float:
         """Kinetic energy, J, that the trolley's velocity adds to the relative motion's."""
         total = self.crane.chain.mass + self.crane.payload.mass
-        return trolley_v * float(self._push @ motion.rate) + 0.5 * total * trolley_v**2
-
-    def _jump(self, motion: ModalMotion, dv: float) -> ModalMotion:
-        """The trolley's velocity jumps by ``dv`` m/s: an impulse -b dv on the free nodes."""
-        return ModalMotion(motion.eta, motion.rate - self._push * dv)
-
-    def _forcing(self, v: float, a: float, payload_fx: float) -> tuple[Array, Array]:
-        """Modal load p0 + p1 t of a trolley at v + a t in air, and of the payload's force."""
-        air = self.crane.damping.air
-        p0 = -self._push * (a + air * v) + self.modes.shapes[-1] * payload_fx
-        return p0, -self._push * (air * a)
-
-    def _propagate(
-        self, motion: ModalMotion, t: float, v: float, a: float, payload_fx: float
-    ) -> ModalMotion:
-        """Exact motion after ``t`` s: the matrix exponential of (32), a 2x2 block for each mode.
-
-        eta'' + alpha eta' + omega^2 eta = p0 + p1 t has the particular solution c0 + c1 t.
-        """
-        air, squares = self.crane.damping.air, self.modes.omega**2
-        p0, p1 = self._forcing(v, a, payload_fx)
-        c1 = p1 / squares
-        c0 = (p0 - air * c1) / squares
-        if t != self._response[0]:  # steps are of one length, mostly
-            self._response = (t, *free_response(self.modes.omega, air, t))
-        _, s, s_dot = self._response
-        eta, rate = motion.eta - c0, motion.rate - c1
-        return ModalMotion(
-            (s_dot + air * s) * eta + s * rate + c0 + c1 * t,
-            s_dot * rate - squares * s * eta + c1,
-        )
+        return trolley_v * float(self.string.push @ motion.rate) + 0.5 * total * trolley_v**2
 
     def _advance(self, h: float, start: Trolley, a_cmd: float, payload_fx: float) -> None:
         before = self._motion
         dv = start.v - self.trolley.v
-        jumped = self._jump(before, dv)
-        after = self._propagate(jumped, h, start.v, a_cmd, payload_fx)
+        jumped = self.string.jump(before, dv)
+        after = self.string.propagate(jumped, h, start.v, a_cmd, payload_fx)
         end_v = start.v + h * a_cmd
         trolley_dx = h * (start.v + 0.5 * h * a_cmd)
         payload_dx = float(self.modes.shapes[-1] @ (after.eta - before.eta)) + trolley_dx
@@ -232,7 +244,7 @@ class LinearCrane(CraneModel):
         impulse = self._momentum(jumped, start.v) - self._momentum(before, self.trolley.v)
         jump_work = 0.5 * (start.v + self.trolley.v) * impulse
         self._motion = after
-        p0, p1 = self._forcing(start.v, a_cmd, payload_fx)
+        p0, p1 = self.string.forcing(start.v, a_cmd, payload_fx)
         self._rate_of_rate = (
             p0 + h * p1 - self.crane.damping.air * after.rate - self.modes.omega**2 * after.eta
         )
@@ -243,12 +255,12 @@ class LinearCrane(CraneModel):
     def _momentum(self, motion: ModalMotion, trolley_v: float) -> float:
         """Horizontal momentum of chain and payload, kg m/s."""
         total = self.crane.chain.mass + self.crane.payload.mass
-        return float(self._push @ motion.rate) + total * trolley_v
+        return float(self.string.push @ motion.rate) + total * trolley_v
 
     def _carried_path(self, start: ModalMotion, end: ModalMotion, trolley_dx: float) -> float:
         """Integral of the momentum over a step, kg m: mass times absolute displacement."""
         total = self.crane.chain.mass + self.crane.payload.mass
-        return float(self._push @ (end.eta - start.eta)) + total * trolley_dx
+        return float(self.string.push @ (end.eta - start.eta)) + total * trolley_dx
 
     def _drag(
         self, motion: ModalMotion, h: float, v: float, a: float, payload_fx: float
@@ -266,7 +278,7 @@ class LinearCrane(CraneModel):
         for i in range(count):
             for node, weight in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True):
                 t = (i + 0.5 * (1.0 + node)) * width
-                at = self._propagate(motion, t, v, a, payload_fx)
+                at = self.string.propagate(motion, t, v, a, payload_fx)
                 trolley_v = v + a * t
                 kinetic = 0.5 * float(at.rate @ at.rate) + self._carried(at, trolley_v)
                 taken += 0.5 * weight * width * air * 2.0 * kinetic
