@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Build crane_nl.fmu and crane_lin.fmu, and check each with FMPy.
+"""Build the cranes' FMUs, their observer and their controller, and check each with FMPy.
 
 The same sources give the same bytes: the guid is the sources' hash, entries are sorted and dated
 by SOURCE_DATE_EPOCH (or 1980), and modules inside an FMU carry the hash in their names, so that
@@ -22,7 +22,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 SOURCES = Path(__file__).resolve().parent / "fmu_src"
-MODELS = ("crane_nl", "crane_lin")
+MODELS = ("crane_nl", "crane_lin", "crane_observer", "crane_antisway")
 PACKAGE, SLAVE = "chaincrane", "fmi_slave"
 EARLIEST = 315532800  # 1980-01-01, the first day that a zip file can name
 
@@ -111,8 +111,9 @@ def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Pa
     )
     entries["model.png"] = icon.png(icon.draw())
     for file in sorted((SOURCES / "documentation").iterdir()):
-        entries[f"documentation/{file.name}"] = file.read_bytes()
-    page = entries["documentation/index.html"].decode()
+        if file.suffix != ".html":
+            entries[f"documentation/{file.name}"] = file.read_bytes()
+    page = (SOURCES / "documentation" / model_description.FMUS[model].page).read_text()
     filled = model_description.documentation(model, digest, page)
     entries["documentation/index.html"] = filled.encode()
     entries.update(licences())
@@ -148,7 +149,7 @@ def write_archive(path: Path, entries: dict[str, bytes], date: datetime) -> None
 def main(arguments: list[str] | None = None) -> int:
     """Build what the command line asks for; 0 where FMPy finds no problem."""
     parser = argparse.ArgumentParser(
-        description="Build the cranes' FMUs and validate them with FMPy.",
+        description="Build the FMUs and validate them with FMPy.",
         epilog="examples:  python build_fmu.py    python build_fmu.py --dest out crane_nl",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

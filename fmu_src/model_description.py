@@ -9,7 +9,7 @@ from html import escape
 from string import Template
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from chaincrane import interface
+from chaincrane import antisway_interface, interface, observer_interface
 from chaincrane.build_info import VERSION
 from chaincrane.variables import UNITS, Variable
 
@@ -63,6 +63,17 @@ def _crane_dependencies(output: str, linear: bool) -> tuple[str, ...]:
     return ()  # trolley.x, payload.vy, energy.dissipated, energy.error, solver.*: zero
 
 
+def _observer_dependencies(output: str) -> tuple[str, ...]:
+    """Parameters that an observer's output depends on before the first step."""
+    if output in ("trolley.v", "payload.vx"):
+        return _SPEED
+    if not output.startswith("std."):
+        return ()  # it starts at rest below the trolley, until a sample says otherwise
+    believed = (*observer_interface.BELIEVED, "sensor.sample_time")
+    of_observer = [v.name for v in observer_interface.PARAMETERS if v.name.startswith("observer.")]
+    return (*believed, *(name for name in of_observer if name != "observer.inputs_at"))
+
+
 @dataclass(frozen=True)
 class Fmu:
     """What is told of one FMU."""
@@ -70,6 +81,7 @@ class Fmu:
     description: str
     variables: tuple[Variable, ...]
     initial_dependencies: Callable[[str], tuple[str, ...]]  # of an output, on parameters
+    page: str = "index.html"  # its documentation, in the documentation folder
 
     @property
     def outputs(self) -> list[Variable]:
@@ -89,6 +101,20 @@ FMUS = {
         " (Maourane & Szabo 2020, section 2.2)",
         interface.VARIABLES,
         partial(_crane_dependencies, linear=True),
+    ),
+    "crane_observer": Fmu(
+        "Observer of an overhead crane's chain and payload: a steady-state Kalman filter on the"
+        " linear crane, from a camera or a rope-angle sensor",
+        observer_interface.VARIABLES,
+        _observer_dependencies,
+        "control.html",
+    ),
+    "crane_antisway": Fmu(
+        "Anti-sway controller of an overhead crane: LQR on the estimated state, or an open-loop move,"
+        " shaped or plain, within limits of velocity and acceleration",
+        antisway_interface.VARIABLES,
+        lambda output: (),
+        "control.html",
     ),
 }
 

@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT / folder) for folder in (".", "fmu_src/native", "benchm
 
 from compile_kernel import compile_for_host  # noqa: E402
 
-from build_fmu import build  # noqa: E402
+from build_fmu import MODELS, build  # noqa: E402
 from chaincrane.kernel import load_library  # noqa: E402
 
 STOP_AT = 1.0  # s, when the paper's trolley stops
@@ -30,9 +30,9 @@ PAYLOADS = {"heavy": 0.42, "light": 0.07}  # kg
 
 @pytest.fixture(scope="session")
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of crane_nl.fmu and crane_lin.fmu."""
+    """The folder of all FMUs."""
     folder = tmp_path_factory.mktemp("fmus")
-    for model in ("crane_nl", "crane_lin"):
+    for model in MODELS:
         build(model, folder)
     return folder
 

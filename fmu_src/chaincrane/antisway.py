@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from .chain import Array, discretise
 from .errors import BadValue
-from .linear import TautString, taut_string
+from .linear import TautString
 from .observer import (
     INPUTS_AT,
     MODELS,
@@ -59,6 +59,7 @@ class AntiSwaySettings:
     method: str = "lqr"
     model: str = "chain"  # or "pendulum"
     elements: int = 2
+    mass_matrix: str = "consistent"  # the paper's, or "averaged"
     modes: int = 1  # that lqr feeds back
     inputs_at: str = "start"  # or "end", of the communication step
     limits: Limits = field(default_factory=Limits)
@@ -66,7 +67,7 @@ class AntiSwaySettings:
 
     def check(self) -> None:
         """Raise BadValue for the first value that is not allowed; names are the FMU's."""
-        check(self.crane, Initial(), Numerics())
+        check(self.crane, Initial(), Numerics(mass_matrix=self.mass_matrix))
         check_choice("antisway.method", self.method, METHODS)
         check_choice("antisway.model", self.model, MODELS)
         check_choice("antisway.inputs_at", self.inputs_at, INPUTS_AT)
@@ -84,7 +85,7 @@ class AntiSwaySettings:
 def design_model(string: TautString, modes: int) -> tuple[Array, Array]:
     """xdot = A x + B a of the trolley and the first ``modes`` modes, SI units.
 
-    x = [trolley.x - target, trolley.v, then for each mode its share of payload.x_rel and the share's
+    x = [trolley.x - target, trolley.v, then for each mode its share of payload.x_rel and its
     rate]; per mode q'' + alpha q' + omega^2 q = -gamma (a + alpha v), gamma = phi_n phi^T b.
     """
     size = 2 + 2 * modes
@@ -121,7 +122,8 @@ def regulator(Ad: Array, Bd: Array, scales: Scales) -> Array:
     weights[2::2] = scales.sway**-2
     R = np.array([[scales.acceleration**-2]])
     S = solve_discrete_are(Ad, Bd, np.diag(weights), R)
-    return np.asarray(np.linalg.solve(R + Bd.T @ S @ Bd, Bd.T @ S @ Ad))[0]
+    K: Array = np.linalg.solve(R + Bd.T @ S @ Bd, Bd.T @ S @ Ad)[0]
+    return K
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,8 @@ class AntiSway:
         self.settings = settings or AntiSwaySettings()
         self.settings.check()
         one = self.settings
-        self.string = taut_string(discretise(*design_crane(one.crane, one.model, one.elements)))
+        crane, elements = design_crane(one.crane, one.model, one.elements)
+        self.string = TautString(discretise(crane, elements, one.mass_matrix))
         self._design: dict[float, tuple[Array, Array, Array]] = {}
         self._state = Drive()
 
@@ -213,8 +216,8 @@ class AntiSway:
     def step(self, h: float, target: float, x: float, v: float, *modes: float) -> None:
         """Advance by ``h`` s: target and trolley, m, m, m/s, then the modes' shares and rates.
 
-        ``modes``: payload.x_rel's share of each mode, m, then their rates, m/s. Raises BadValue, the
-        controller as it was, for a value that is not allowed.
+        ``modes``: payload.x_rel's share of each mode, m, then their rates, m/s. Raises BadValue,
+        the controller as it was, for a value that is not allowed.
         """
         names = ["target.x", "trolley.x", "trolley.v"]
         names += [f"mode.{k}[{i + 1}]" for k in ("x_rel", "vx_rel") for i in range(SHOWN_MODES)]

@@ -125,6 +125,7 @@ def settings(values: Mapping[str, Any]) -> AntiSwaySettings:
         method=full["antisway.method"],
         model=full["antisway.model"],
         elements=full["antisway.elements"],
+        mass_matrix=full["chain.mass_matrix"],
         modes=full["antisway.modes"],
         inputs_at=full["antisway.inputs_at"],
         limits=Limits(full["limit.velocity"], full["limit.acceleration"]),

@@ -1,7 +1,7 @@
 """The steady-state Kalman filter of the taut string: its matrices, its Riccati equation.
 
-State z = [omega eta; eta'] of the string's modes, m sqrt(kg)/s: free motion turns it, so that all of
-its matrices are well scaled. Disturbances: a force on the payload and an acceleration of the
+State z = [omega eta; eta'] of the string's modes, m sqrt(kg)/s: free motion turns it, so that
+all of its matrices are well scaled. Disturbances: a force on the payload and an acceleration of the
 trolley, each held from sample to sample.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from .chain import Array
-from .linear import TautString, free_response
+from .linear import TautString
 
 OBSERVABLE = 1e-6  # smallest observability margin that can be designed for
 
@@ -38,7 +38,7 @@ def transition(string: TautString, t: float) -> Array:
     Per mode [s' + alpha s, omega s; -omega s, s'], s as in :func:`linear.free_response`.
     """
     omega = string.modes.omega
-    s, s_dot = free_response(omega, string.air, t)
+    s, s_dot = string.response(t)
     turn = np.diag(omega * s)
     return np.block([[np.diag(s_dot + string.air * s), turn], [-turn, np.diag(s_dot)]])
 
@@ -49,7 +49,7 @@ def held_input(string: TautString, t: float) -> Array:
     Per mode [omega (1 - s' - alpha s)/omega^2; s] p with the modal load p, from rest.
     """
     omega = string.modes.omega
-    s, s_dot = free_response(omega, string.air, t)
+    s, s_dot = string.response(t)
     load = np.column_stack((string.modes.shapes[-1], -string.push))
     moved = (1.0 - s_dot - string.air * s) / omega
     return np.vstack((moved[:, None] * load, s[:, None] * load))

@@ -134,13 +134,20 @@ def free_response(omega: Array, air: float, t: float) -> tuple[Array, Array]:
     return s, (0.5 * (slow + fast)).real - 0.5 * air * s
 
 
-@dataclass(frozen=True)
 class TautString:
     """The string with its payload in modal coordinates: what moves it, and how it moves."""
 
-    modes: Modes
-    push: Array  # sqrt(kg), (n,), modal load of a trolley's deceleration of 1 m/s2
-    air: float  # 1/s, mass-proportional damping of the absolute velocity
+    def __init__(self, chain: DiscreteChain) -> None:
+        self.modes = modes(chain)
+        self.push = self.modes.shapes.T @ chain.row_mass  # sqrt(kg), load of 1 m/s2 of braking
+        self.air = chain.crane.damping.air  # 1/s
+        self._response = (0.0, self.push, self.push)  # of the last length of step
+
+    def response(self, t: float) -> tuple[Array, Array]:
+        """:func:`free_response` of the modes after ``t`` s."""
+        if self._response[0] != t:
+            self._response = t, *free_response(self.modes.omega, self.air, t)
+        return self._response[1:]
 
     def jump(self, motion: ModalMotion, dv: float) -> ModalMotion:
         """The trolley's velocity jumps by ``dv`` m/s: an impulse -b dv on the free nodes."""
@@ -162,18 +169,12 @@ class TautString:
         p0, p1 = self.forcing(v, a, payload_fx)
         c1 = p1 / squares
         c0 = (p0 - self.air * c1) / squares
-        s, s_dot = free_response(self.modes.omega, self.air, t)
+        s, s_dot = self.response(t)
         eta, rate = motion.eta - c0, motion.rate - c1
         return ModalMotion(
             (s_dot + self.air * s) * eta + s * rate + c0 + c1 * t,
             s_dot * rate - squares * s * eta + c1,
         )
-
-
-def taut_string(chain: DiscreteChain) -> TautString:
-    """The string that ``chain`` is, with its modes."""
-    found = modes(chain)
-    return TautString(found, found.shapes.T @ chain.row_mass, chain.crane.damping.air)
 
 
 class LinearCrane(CraneModel):
@@ -187,7 +188,7 @@ class LinearCrane(CraneModel):
     ) -> None:
         super().__init__(crane, initial, numerics)
         chain = self.chain
-        self.string = taut_string(chain)
+        self.string = TautString(chain)
         self.modes = self.string.modes
         self._tension = hanging_tension(self.crane, chain.elements)
         self._seen = np.vstack((self._interpolation, np.eye(1, chain.elements)))
@@ -196,7 +197,6 @@ class LinearCrane(CraneModel):
         straight = mass_times(chain, np.outer(depth, [np.sin(self.initial.sway_angle), 0.0]))[:, 0]
         eta = self.modes.shapes.T @ straight
         self._motion = ModalMotion(eta, np.zeros_like(eta))
-        self._response = (0.0, eta, eta)  # of the last length of step, see free_response
         self._rate_of_rate = np.zeros_like(eta)
         self._trolley_fx = self._drive_force(0.0, 0.0)
         self._ledger = Ledger(start=self._energy(self._motion, self.trolley.v))

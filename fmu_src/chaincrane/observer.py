@@ -17,10 +17,9 @@ import numpy as np
 
 from . import kalman
 from .chain import Array, discretise, interpolation
-from .crane import MATERIAL_POINTS
 from .errors import BadState, BadValue
-from .linear import ModalMotion, taut_string
-from .parameters import Crane, Initial, Numerics, check, check_number
+from .linear import ModalMotion, TautString
+from .parameters import MATERIAL_POINTS, Crane, Initial, Numerics, check, check_number
 from .sensor import Sensor
 from .trolley import Trolley
 
@@ -50,6 +49,7 @@ class ObserverSettings:
     speed: float = 0.8  # m/s, of the whole crane just before the start time
     model: str = "chain"  # or "pendulum", a massless rope
     elements: int = 2
+    mass_matrix: str = "consistent"  # the paper's, or "averaged"
     sensor: str = "rope"  # or "camera"
     inputs_at: str = "start"  # or "end", of the communication step
     noise: AssumedNoise = field(default_factory=AssumedNoise)
@@ -58,7 +58,7 @@ class ObserverSettings:
 
     def check(self) -> None:
         """Raise BadValue for the first value that is not allowed; names are the FMU's."""
-        check(self.crane, Initial(self.speed), Numerics())
+        check(self.crane, Initial(self.speed), Numerics(mass_matrix=self.mass_matrix))
         check_choice("observer.model", self.model, MODELS)
         check_choice("observer.sensor", self.sensor, SENSORS)
         check_choice("observer.inputs_at", self.inputs_at, INPUTS_AT)
@@ -140,8 +140,8 @@ class CraneObserver:
         crane, elements = design_crane(
             self.settings.crane, self.settings.model, self.settings.elements
         )
-        chain = discretise(crane, elements)
-        self.string = taut_string(chain)
+        chain = discretise(crane, elements, self.settings.mass_matrix)
+        self.string = TautString(chain)
         shapes = self.string.modes.shapes
         self.top = -float(chain.rest[0, 1])  # m, depth of the first node, the payload and the rest
         self.depth = -float(chain.rest[-1, 1])

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from . import interface
-from .crane import MATERIAL_POINTS
 from .observer import (
     INPUTS_AT,
     MAX_ELEMENTS,
@@ -16,7 +15,7 @@ from .observer import (
     AssumedNoise,
     ObserverSettings,
 )
-from .parameters import Chain, Crane, Damping, Payload
+from .parameters import MATERIAL_POINTS, Chain, Crane, Damping, Payload
 from .sensor import MAX_SEED, Sensor
 from .variables import TINY, input_variable, output, parameter
 
@@ -29,6 +28,7 @@ BELIEVED = (  # the cranes' parameters that a model for control design has
     "payload.mass",
     "gravity",
     "damping.air",
+    "chain.mass_matrix",
 )
 
 INPUTS = (
@@ -125,14 +125,14 @@ PARAMETERS = (
         minimum=0,
         maximum=MAX_SEED,
     ),
+    parameter("camera.noise", "m", _SENSOR.noise, "standard deviation of each sample", minimum=0.0),
     parameter(
-        "camera.noise", "m", _SENSOR.noise, "standard deviation of each sample", minimum=0.0
+        "camera.bias", "m", _SENSOR.bias, "what each sample is off by, unknown to the filter"
     ),
-    parameter("camera.bias", "m", _SENSOR.bias, "what each sample is off by; the filter is not told"),
+    parameter("rope.noise", "rad", _SENSOR.noise, "standard deviation of each sample", minimum=0.0),
     parameter(
-        "rope.noise", "rad", _SENSOR.noise, "standard deviation of each sample", minimum=0.0
+        "rope.bias", "rad", _SENSOR.bias, "what each sample is off by, unknown to the filter"
     ),
-    parameter("rope.bias", "rad", _SENSOR.bias, "what each sample is off by; the filter is not told"),
 )
 
 _PLAIN = (
@@ -196,6 +196,7 @@ def settings(values: Mapping[str, Any]) -> ObserverSettings:
         speed=full["initial.speed"],
         model=full["observer.model"],
         elements=full["observer.elements"],
+        mass_matrix=full["chain.mass_matrix"],
         sensor=full["observer.sensor"],
         inputs_at=full["observer.inputs_at"],
         noise=AssumedNoise(**assumed),
