@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from fmpy import read_model_description, simulate_fmu
@@ -24,6 +24,8 @@ from .errors import UserError
 Table = NDArray[np.void]  # a structured array, its first column the time
 
 SLOW = 1.0  # s, work that takes longer than this gets a progress bar
+Progress = Callable[[float], None]
+
 REPORTS = 100  # of its progress that a simulation makes
 
 
@@ -41,6 +43,30 @@ class Job:
     stop_time: float
     output_interval: float
 
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return str(self.fmu)
+
+    def run(self, progress: Progress) -> Table:
+        """Simulate in this process; ``progress`` is told the time reached. Raises UserError."""
+        return simulate(self, progress)
+
+
+class Work(Protocol):
+    """Anything that runs FMUs for some simulated time, in a process of its own."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+    @property
+    def stop_time(self) -> float:
+        """Simulated time, s."""
+
+    def run(self, progress: Progress) -> Table:
+        """Simulate in this process; ``progress`` is told the time reached. Raises UserError."""
+
 
 def progress_bar(**more: Any) -> tqdm[Any]:
     """A bar that shows on a terminal alone, and only for work that takes a while."""
@@ -57,7 +83,7 @@ def describe(fmu: Path) -> ModelDescription:
         raise UserError(f"{fmu}: not a valid FMU: {_one_line(error)}") from error
 
 
-def simulate(job: Job, progress: Callable[[float], None] = lambda time: None) -> Table:
+def simulate(job: Job, progress: Progress = lambda time: None) -> Table:
     """Simulate in this process; ``progress`` is told the time reached. Raises UserError."""
     fmu = job.fmu
     description = describe(fmu)
@@ -103,7 +129,7 @@ def simulate(job: Job, progress: Callable[[float], None] = lambda time: None) ->
     return np.array(result)
 
 
-def simulate_all(jobs: Sequence[Job], label: str) -> list[Table]:
+def simulate_all(jobs: Sequence[Work], label: str) -> list[Table]:
     """Simulate each job in a process of its own, a few at a time, with a progress bar.
 
     An FMU is somebody's binary: alone in its process it cannot disturb another one, nor take this
@@ -143,23 +169,23 @@ def simulate_all(jobs: Sequence[Job], label: str) -> list[Table]:
     return [results[number] for number in range(len(jobs))]
 
 
-def _receive(pipe: Connection, process: BaseProcess, job: Job) -> float | Table:
+def _receive(pipe: Connection, process: BaseProcess, job: Work) -> float | Table:
     """The next message of a working process: the time reached, or its result."""
     try:
         message = pipe.recv()
     except EOFError:
         process.join()
-        raise UserError(f"{job.fmu}: the FMU crashed, exit code {process.exitcode}") from None
+        raise UserError(f"{job.name}: the FMU crashed, exit code {process.exitcode}") from None
     if isinstance(message, str):
         raise UserError(message)
     assert isinstance(message, (float, np.ndarray))
     return message
 
 
-def _work(job: Job, pipe: Connection) -> None:
+def _work(job: Work, pipe: Connection) -> None:
     """A working process: sends the times reached as numbers, then the result, or an error."""
     try:
-        pipe.send(simulate(job, pipe.send))
+        pipe.send(job.run(pipe.send))
     except UserError as error:
         pipe.send(str(error))
     pipe.close()
