@@ -110,7 +110,7 @@ FMUS = {
         "control.html",
     ),
     "crane_antisway": Fmu(
-        "Anti-sway controller of an overhead crane: LQR on the estimated state, or an open-loop move,"
+        "Anti-sway controller of an overhead crane: LQR on the estimate, or an open-loop move,"
         " shaped or plain, within limits of velocity and acceleration",
         antisway_interface.VARIABLES,
         lambda output: (),

@@ -1,0 +1,239 @@
+"""The anti-sway loop: crane, observer and controller as FMUs, stepped by a plain FMPy master.
+
+Two orders of stepping. `parallel`, as libcosim and ecos do: all parts step with what the others gave
+at the step's start. `sequential`: crane, observer, controller, each with what is newest.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from contextlib import ExitStack
+from ctypes import byref
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fmpy import extract
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import (
+    FMU2Slave,
+    calloc,
+    fmi2CallbackAllocateMemoryTYPE,
+    fmi2CallbackFreeMemoryTYPE,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+    free,
+)
+from fmpy.logging import addLoggerProxy
+
+from .errors import UserError
+from .simulate import REPORTS, Progress, Table, describe
+
+CRANE, OBSERVER, ANTISWAY = "crane", "observer", "antisway"
+ORDERS = ("parallel", "sequential")
+SEPARATOR = "::"  # between part and variable, in a column's name
+
+Connection = tuple[str, str, str, str]  # from part, its output, to part, its input
+CONNECTIONS: tuple[Connection, ...] = (
+    (ANTISWAY, "trolley.a_cmd", CRANE, "trolley.a_cmd"),
+    (ANTISWAY, "trolley.a_cmd", OBSERVER, "trolley.a_cmd"),
+    (CRANE, "payload.x_rel", OBSERVER, "camera.x_rel"),
+    (CRANE, "chain.top_angle", OBSERVER, "rope.top_angle"),
+    (CRANE, "trolley.x", ANTISWAY, "trolley.x"),
+    (CRANE, "trolley.v", ANTISWAY, "trolley.v"),
+    (OBSERVER, "mode.x_rel[1]", ANTISWAY, "mode.x_rel[1]"),
+    (OBSERVER, "mode.x_rel[2]", ANTISWAY, "mode.x_rel[2]"),
+    (OBSERVER, "mode.vx_rel[1]", ANTISWAY, "mode.vx_rel[1]"),
+    (OBSERVER, "mode.vx_rel[2]", ANTISWAY, "mode.vx_rel[2]"),
+)
+WATCHED = {
+    CRANE: (
+        "trolley.x",
+        "trolley.v",
+        "payload.x",
+        "payload.x_rel",
+        "chain.mid_x_rel",
+        "chain.top_angle",
+    ),
+    OBSERVER: (
+        "payload.x_rel",
+        "payload.vx_rel",
+        "chain.mid_x_rel",
+        "chain.top_angle",
+        "std.payload.x_rel",
+    ),
+    ANTISWAY: ("trolley.a_cmd",),
+}
+
+
+def column(part: str, variable: str) -> str:
+    """The name of a result's column."""
+    return f"{part}{SEPARATOR}{variable}"
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A run of connected FMUs from 0 to ``stop_time`` s in steps of ``step`` s.
+
+    ``fmus`` and ``start`` go by part; a connection of a part that is not there is left out.
+    ``inputs``: what the loop does not drive; its columns are named like a result's, and a value holds
+    from its row's time on.
+    """
+
+    fmus: Mapping[str, Path]
+    start: Mapping[str, Mapping[str, Any]]
+    stop_time: float
+    step: float
+    order: str = "parallel"
+    inputs: Table | None = None
+    watched: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: WATCHED)
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return " + ".join(path.name for path in self.fmus.values())
+
+    @property
+    def steps(self) -> int:
+        """Number of communication steps."""
+        return round(self.stop_time / self.step)
+
+    @property
+    def connections(self) -> list[Connection]:
+        """Those whose ends are both there."""
+        return [one for one in CONNECTIONS if one[0] in self.fmus and one[2] in self.fmus]
+
+    @property
+    def columns(self) -> list[tuple[str, str]]:
+        """Part and variable of each column of the result."""
+        return [(part, name) for part in self.fmus for name in self.watched[part]]
+
+    def table(self) -> Table:
+        """An empty result."""
+        names = ["time", *(column(*one) for one in self.columns)]
+        return np.zeros(self.steps + 1, dtype=[(name, float) for name in names])
+
+    def run(self, progress: Progress) -> Table:
+        """Step the FMUs in this process; ``progress`` is told the time reached. Raises UserError."""
+        with ExitStack() as stack:
+            parts = {
+                name: stack.enter_context(Part(name, fmu, self.start.get(name, {})))
+                for name, fmu in self.fmus.items()
+            }
+            return self._run(parts, progress)
+
+    def _run(self, parts: dict[str, Part], progress: Progress) -> Table:
+        wires = [
+            (parts[source], output, parts[sink], taken)
+            for source, output, sink, taken in self.connections
+        ]
+        for part in parts.values():
+            part.begin()
+        for source, output, sink, taken in wires:
+            sink.set(taken, source.get(output))
+        for part in parts.values():
+            part.end_initialisation()
+        result, changes = self.table(), self._changes()
+        every = max(1, self.steps // REPORTS)
+        for number in range(self.steps + 1):
+            time = number * self.step
+            values = [parts[part].get(variable) for part, variable in self.columns]
+            result[number] = (time, *values)
+            if number == self.steps:
+                break
+            for part, variable, value in changes.get(number, ()):
+                parts[part].set(variable, value)
+            if self.order == "parallel":
+                moved = [(sink, taken, source.get(output)) for source, output, sink, taken in wires]
+                for sink, taken, value in moved:
+                    sink.set(taken, value)
+            for part in parts.values():
+                if self.order == "sequential":
+                    for source, output, sink, taken in wires:
+                        if sink is part:
+                            sink.set(taken, source.get(output))
+                part.step(time, self.step)
+            if number % every == 0:
+                progress(time)
+        return result
+
+    def _changes(self) -> dict[int, list[tuple[str, str, float]]]:
+        """Inputs that the loop does not drive, by the number of the step that they come before."""
+        found: dict[int, list[tuple[str, str, float]]] = {}
+        if self.inputs is None:
+            return found
+        assert self.inputs.dtype.names is not None
+        _, *names = self.inputs.dtype.names
+        for row in self.inputs:
+            number = round(float(row["time"]) / self.step)
+            for name in names:
+                part, variable = name.split(SEPARATOR)
+                found.setdefault(number, []).append((part, variable, float(row[name])))
+        return found
+
+
+class Part:
+    """One FMU of a loop: its variables by name, its errors as UserError."""
+
+    def __init__(self, name: str, fmu: Path, start: Mapping[str, Any]) -> None:
+        self.name, self.fmu, self.start = name, fmu, start
+        self._description = describe(fmu)
+        self._variables = {v.name: v for v in self._description.modelVariables}
+        self._log: list[str] = []
+        for variable in start:
+            if variable not in self._variables:
+                raise UserError(f"{fmu}: there is no variable {variable!r} to start with")
+
+    def __enter__(self) -> Part:
+        self._folder = extract(str(self.fmu))
+        self._callbacks = fmi2CallbackFunctions()
+        self._callbacks.logger = fmi2CallbackLoggerTYPE(self._keep)
+        self._callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+        self._callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+        addLoggerProxy(byref(self._callbacks))
+        self._slave = FMU2Slave(
+            guid=self._description.guid,
+            unzipDirectory=self._folder,
+            modelIdentifier=self._description.coSimulation.modelIdentifier,
+            instanceName=self.name,
+        )
+        self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _keep(self, _env: Any, _name: bytes, _status: int, _kind: bytes, message: bytes) -> None:
+        self._log.append(message.decode(errors="replace"))
+
+    def begin(self) -> None:
+        """Set the start values; initialisation begins."""
+        self._slave.setupExperiment(startTime=0.0)
+        for name, value in self.start.items():
+            self.set(name, value)
+        self._slave.enterInitializationMode()
+
+    def end_initialisation(self) -> None:
+        """From here on the part can step."""
+        self._slave.exitInitializationMode()
+
+    def set(self, name: str, value: Any) -> None:
+        """Set one variable."""
+        variable = self._variables[name]
+        if variable.type == "Real":
+            value = float(value)
+        getattr(self._slave, f"set{variable.type}")([variable.valueReference], [value])
+
+    def get(self, name: str) -> float:
+        """Value of one Real variable."""
+        return float(self._slave.getReal([self._variables[name].valueReference])[0])
+
+    def step(self, time: float, h: float) -> None:
+        """One communication step. Raises UserError with what the FMU says."""
+        try:
+            self._slave.doStep(currentCommunicationPoint=time, communicationStepSize=h)
+        except FMICallException as error:
+            reason = self._log[-1] if self._log else str(error)
+            raise UserError(f"{self.fmu}: at {time:g} s: {reason}") from error
