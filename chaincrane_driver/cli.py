@@ -1,15 +1,28 @@
-"""The command line: chaincrane run, figures, check."""
+"""The command line: chaincrane run, figures, check, antisway, study."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
-from . import compare, plots, scenario
+from . import compare, plots, scenario, study
+from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_setting
 from .errors import UserError
+from .loop import ORDERS
+from .masters import MASTERS, Package
 from .scenario import Run, Scenario
-from .simulate import Table, describe, progress_bar, read_table, simulate_all, write_table
+from .simulate import (
+    Table,
+    Work,
+    describe,
+    progress_bar,
+    read_table,
+    simulate_all,
+    write_table,
+)
+from .ssp import write_ssp
 
 PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
 
@@ -111,6 +124,76 @@ def _check_run(one: Scenario, run: Run, result: Table) -> bool:
     return not findings
 
 
+def command_antisway(options: argparse.Namespace) -> int:
+    """Move the crane by 1 m in closed loop: metrics, a picture, the SSP package.
+
+    Crane, observer and controller run as FMUs, beside two open-loop moves for comparison. With
+    --master ecos or libcosim those run the package; all compares them with FMPy.
+    """
+    more: dict[str, dict[str, object]] = {}
+    for text in options.set:
+        part, name, value = parse_setting(text)
+        more.setdefault(part, {})[name] = value
+    setup = Setup(
+        payload=options.payload,
+        plant=options.plant,
+        method=options.method,
+        observer=options.elements,
+        sensor=options.sensor,
+        noisy=not options.clean,
+        target=options.target,
+        stop_time=options.stop,
+        step=options.step,
+        order=options.order,
+        more=more,
+    )
+    if not 0.0 < setup.step <= setup.stop_time < float("inf"):
+        raise UserError("--step and --stop need 0 < step <= stop, both in seconds")
+    others = [master for master in MASTERS[1:] if options.master in (master, "all")]
+    if others and setup.order != "parallel":
+        raise UserError("ecos and libcosim step side by side: --order sequential is FMPy's alone")
+    methods = [setup.method, *(m for m in ("zv", "trapezoid") if m != setup.method)]
+    loops = [replace(setup, method=method).loop(options.fmus) for method in methods]
+    ssp = write_ssp(options.out / "crane_antisway.ssp", loops[0])
+    work: list[Work] = [*loops, *(Package(master, ssp, loops[0]) for master in others)]
+    tables = simulate_all(work, "antisway")
+    shown = [(METHOD_LABELS[m], table) for m, table in zip(methods, tables, strict=False)]
+    rows = [(label, measure(table, setup.target)) for label, table in shown]
+    print(metrics_table("move", rows) + "\n")
+    for master, table in zip(others, tables[len(methods) :], strict=True):
+        names = table.dtype.names or ()
+        worst = max(float(abs(table[name] - tables[0][name]).max()) for name in names)
+        print(f"{master}: every signal within {worst:.1e} (SI) of FMPy's")
+        write_table(options.out / f"{master}.csv", table)
+    write_table(options.out / "fmpy.csv", tables[0])
+    title = f"{setup.target:g} m; payload {setup.payload:g} kg; {setup.sensor} sensor"
+    title += f"; observer: {setup.label}"
+    written = [ssp, options.out / "fmpy.csv"]
+    written += plots.antisway_figure(shown, title, options.out / "antisway")
+    print("written: " + ", ".join(str(path) for path in written))
+    return 0
+
+
+METHOD_LABELS = {
+    "lqr": "LQR on the estimate",
+    "zv": "ZV-shaped, open loop",
+    "trapezoid": "plain, open loop",
+}
+
+
+def command_study(options: argparse.Namespace) -> int:
+    """Run a study from the FMUs: tables and a picture. The study: observer, some minutes."""
+    results = study.run(options.fmus)
+    text = f"{study.PREFACE}\n{study.report(results)}"
+    path = options.out / "observer_study.md"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    print(study.summary(results) + "\n")
+    written = [path, *study.picture(results, options.out / "observer_study")]
+    print("written: " + ", ".join(str(path) for path in written))
+    return 0
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line's grammar."""
     top = argparse.ArgumentParser(
@@ -153,6 +236,41 @@ def parser() -> argparse.ArgumentParser:
     figures = command("figures", command_figures, "chaincrane figures --out figures")
     scenarios(figures)
     figures.add_argument("--out", type=Path, default=Path("figures"), help="folder (figures)")
+
+    antisway = command("antisway", command_antisway, "chaincrane antisway --payload 0.07")
+    for name, kind, default, text in (
+        ("payload", float, HEAVY, "mass of the payload, kg"),
+        ("elements", int, 2, "of observer and controller; 0: a massless-rope pendulum"),
+        ("target", float, TARGET, "where the trolley is to go, m"),
+        ("stop", float, 12.0, "simulated time, s"),
+        ("step", float, 0.01, "communication step, s"),
+    ):
+        antisway.add_argument(
+            f"--{name}", type=kind, default=default, help=f"{text} ({default:g})", metavar="N"
+        )
+    for name, choices, text in (
+        ("plant", ("crane_nl", "crane_lin"), "the crane"),
+        ("method", tuple(METHOD_LABELS), "how to move"),
+        ("sensor", ("rope", "camera"), "what is measured"),
+        ("order", ORDERS, "of FMPy's steps"),
+        ("master", (*MASTERS, "all"), "what runs the loop beside FMPy"),
+    ):
+        antisway.add_argument(
+            f"--{name}", choices=choices, default=choices[0], help=f"{text} ({choices[0]})"
+        )
+    antisway.add_argument("--clean", action="store_true", help="a sensor without noise")
+    antisway.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PART::NAME=VALUE",
+        help="a start value of crane, observer or antisway, as observer::sensor.delay=0.02",
+    )
+    antisway.add_argument("--out", type=Path, default=Path("results/antisway"), help="folder")
+
+    studied = command("study", command_study, "chaincrane study observer --out docs")
+    studied.add_argument("study", choices=("observer",), help="which study")
+    studied.add_argument("--out", type=Path, default=Path("results"), help="folder (results)")
 
     check = command("check", command_check, "chaincrane check --fmu crane_nl_native.fmu")
     scenarios(check)

@@ -1,7 +1,7 @@
 """The anti-sway loop: crane, observer and controller as FMUs, stepped by a plain FMPy master.
 
-Two orders of stepping. `parallel`, as libcosim and ecos do: all parts step with what the others gave
-at the step's start. `sequential`: crane, observer, controller, each with what is newest.
+Two orders of stepping. `parallel`, as libcosim and ecos do: all parts step with what the others
+gave at the step's start. `sequential`: crane, observer, controller, each with what is newest.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class Loop:
     """A run of connected FMUs from 0 to ``stop_time`` s in steps of ``step`` s.
 
     ``fmus`` and ``start`` go by part; a connection of a part that is not there is left out.
-    ``inputs``: what the loop does not drive; its columns are named like a result's, and a value holds
-    from its row's time on.
+    ``inputs``: what the loop does not drive; its columns are named like a result's, and a value
+    holds from its row's time on.
     """
 
     fmus: Mapping[str, Path]
@@ -116,10 +116,11 @@ class Loop:
         return np.zeros(self.steps + 1, dtype=[(name, float) for name in names])
 
     def run(self, progress: Progress) -> Table:
-        """Step the FMUs in this process; ``progress`` is told the time reached. Raises UserError."""
+        """Step the FMUs in this process, telling ``progress`` the time. Raises UserError."""
         with ExitStack() as stack:
+            log = Log()
             parts = {
-                name: stack.enter_context(Part(name, fmu, self.start.get(name, {})))
+                name: stack.enter_context(Part(name, fmu, self.start.get(name, {}), log))
                 for name, fmu in self.fmus.items()
             }
             return self._run(parts, progress)
@@ -139,12 +140,12 @@ class Loop:
         every = max(1, self.steps // REPORTS)
         for number in range(self.steps + 1):
             time = number * self.step
-            values = [parts[part].get(variable) for part, variable in self.columns]
+            values = [parts[name].get(variable) for name, variable in self.columns]
             result[number] = (time, *values)
             if number == self.steps:
                 break
-            for part, variable, value in changes.get(number, ()):
-                parts[part].set(variable, value)
+            for name, variable, value in changes.get(number, ()):
+                parts[name].set(variable, value)
             if self.order == "parallel":
                 moved = [(sink, taken, source.get(output)) for source, output, sink, taken in wires]
                 for sink, taken, value in moved:
@@ -174,39 +175,45 @@ class Loop:
         return found
 
 
+class Log:
+    """What the FMUs of a process say. One for all: FMPy's proxy knows the last logger alone."""
+
+    def __init__(self) -> None:
+        self.last: dict[str, str] = {}  # by instance
+        self.callbacks = fmi2CallbackFunctions()
+        self.callbacks.logger = fmi2CallbackLoggerTYPE(self._keep)
+        self.callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+        self.callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+        addLoggerProxy(byref(self.callbacks))
+
+    def _keep(self, _env: Any, name: bytes, _status: int, _kind: bytes, message: bytes) -> None:
+        self.last[name.decode(errors="replace")] = message.decode(errors="replace")
+
+
 class Part:
     """One FMU of a loop: its variables by name, its errors as UserError."""
 
-    def __init__(self, name: str, fmu: Path, start: Mapping[str, Any]) -> None:
-        self.name, self.fmu, self.start = name, fmu, start
+    def __init__(self, name: str, fmu: Path, start: Mapping[str, Any], log: Log) -> None:
+        self.name, self.fmu, self.start, self._log = name, fmu, start, log
         self._description = describe(fmu)
         self._variables = {v.name: v for v in self._description.modelVariables}
-        self._log: list[str] = []
         for variable in start:
             if variable not in self._variables:
                 raise UserError(f"{fmu}: there is no variable {variable!r} to start with")
 
     def __enter__(self) -> Part:
         self._folder = extract(str(self.fmu))
-        self._callbacks = fmi2CallbackFunctions()
-        self._callbacks.logger = fmi2CallbackLoggerTYPE(self._keep)
-        self._callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-        self._callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
-        addLoggerProxy(byref(self._callbacks))
         self._slave = FMU2Slave(
             guid=self._description.guid,
             unzipDirectory=self._folder,
             modelIdentifier=self._description.coSimulation.modelIdentifier,
             instanceName=self.name,
         )
-        self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
+        self._slave.instantiate(callbacks=self._log.callbacks, loggingOn=True)
         return self
 
     def __exit__(self, *_: object) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
-
-    def _keep(self, _env: Any, _name: bytes, _status: int, _kind: bytes, message: bytes) -> None:
-        self._log.append(message.decode(errors="replace"))
 
     def begin(self) -> None:
         """Set the start values; initialisation begins."""
@@ -235,5 +242,5 @@ class Part:
         try:
             self._slave.doStep(currentCommunicationPoint=time, communicationStepSize=h)
         except FMICallException as error:
-            reason = self._log[-1] if self._log else str(error)
+            reason = self._log.last.get(self.name, str(error))
             raise UserError(f"{self.fmu}: at {time:g} s: {reason}") from error

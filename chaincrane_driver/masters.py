@@ -1,4 +1,4 @@
-"""Other masters for a loop's SSP package: ecos and libcosim, both from PyPI, both stepping in parallel.
+"""Other masters for a loop's SSP package: ecos and libcosim, which step all parts in parallel.
 
 Neither goes beyond what the package says: parts, connections, start values, step.
 """

@@ -21,6 +21,7 @@ STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#D55E00", "linewidth": 1.2, "linestyle": (0, (5, 2))},
     {"color": "#009E73", "linewidth": 1.0, "linestyle": (0, (1, 1.5))},
 )
+RUN_STYLES = (*STYLES[:3], {"color": "0.6", "linewidth": 1.0})  # the last: for comparison
 SIGNAL_TITLES = {
     "payload.x": "payload, absolute: payload.x",
     "payload.x_rel": "payload, relative to the trolley: payload.x_rel",
@@ -146,4 +147,56 @@ def shape_figure(
     )
     bar.set_label("time, s")
     figure.suptitle(title)
+    return _save(figure, stem)
+
+
+def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> list[Path]:
+    """Position, sway, estimate against truth, and command; the first run is the one estimated."""
+    figure, axes = _new(2, 2, 9.6, 5.6, sharex=True)
+    panels = (
+        ("crane::payload.x", 1.0, "position of the payload: payload.x", "m"),
+        ("crane::payload.x_rel", 1e3, "sway: payload.x_rel", "mm"),
+        ("antisway::trolley.a_cmd", 1.0, "command: trolley.a_cmd", "m/s2"),
+    )
+    for place, (name, scale, text, unit) in zip((0, 1, 3), panels, strict=True):
+        panel = axes.flat[place]
+        for (label, table), style in zip(runs, RUN_STYLES, strict=False):
+            panel.plot(table["time"], scale * table[name], label=label, **style)
+        panel.set_title(text, loc="left", fontsize=9)
+        panel.set_ylabel(unit)
+        panel.margins(x=0)
+    time, first = runs[0][1]["time"], runs[0][1]
+    gap = 1e3 * (first["observer::payload.x_rel"] - first["crane::payload.x_rel"])
+    band = 2e3 * first["observer::std.payload.x_rel"]
+    panel = axes[1, 0]
+    panel.fill_between(time, -band, band, color="0.88", linewidth=0, label="twice its deviation")
+    panel.plot(time, gap, color="black", linewidth=1.0, label="estimate less truth")
+    panel.legend(frameon=False, fontsize=8, loc="upper right")
+    panel.set_title(f"error of the estimated sway: {runs[0][0]}", loc="left", fontsize=9)
+    panel.set_ylabel("mm")
+    for panel in axes[1]:
+        panel.set_xlabel("time, s")
+    figure.suptitle(title)
+    _legend(figure, axes[0, 0])
+    return _save(figure, stem)
+
+
+def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) -> list[Path]:
+    """Sway and its estimates' errors, a column for each payload."""
+    figure, axes = _new(2, len(panels), 4.8 * len(panels), 5.0, sharex=True, sharey="row")
+    for column, (label, runs) in enumerate(panels):
+        for (name, table), style in zip(runs, RUN_STYLES, strict=False):
+            time, sway = table["time"], 1e3 * table["crane::payload.x_rel"]
+            axes[0, column].plot(time, sway, label=name, **style)
+            if name.startswith("LQR"):
+                gap = 1e3 * table["observer::payload.x_rel"] - sway
+                axes[1, column].plot(time, gap, **style)
+        axes[0, column].set_title(f"{label} payload: sway, payload.x_rel", loc="left", fontsize=9)
+        axes[1, column].set_title("estimate less truth", loc="left", fontsize=9)
+        axes[1, column].set_xlabel("time, s")
+        axes[0, column].margins(x=0)
+    for row in range(2):
+        axes[row, 0].set_ylabel("mm")
+    figure.suptitle("1 m within 0.5 m/s and 1 m/s2; rope-angle sensor, 0.5 degree noise")
+    _legend(figure, axes[0, 0])
     return _save(figure, stem)

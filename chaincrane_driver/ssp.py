@@ -1,4 +1,4 @@
-"""A loop as an SSP package (System Structure and Parameterization 1.0): FMUs and how they connect."""
+"""A loop as an SSP package (System Structure and Parameterization 1.0): FMUs and connections."""
 
 from __future__ import annotations
 
