@@ -179,7 +179,7 @@ class Log:
     """What the FMUs of a process say. One for all: FMPy's proxy knows the last logger alone."""
 
     def __init__(self) -> None:
-        self.last: dict[str, str] = {}  # by instance
+        self.first: tuple[str, str] | None = None  # instance and what it said
         self.callbacks = fmi2CallbackFunctions()
         self.callbacks.logger = fmi2CallbackLoggerTYPE(self._keep)
         self.callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
@@ -187,7 +187,8 @@ class Log:
         addLoggerProxy(byref(self.callbacks))
 
     def _keep(self, _env: Any, name: bytes, _status: int, _kind: bytes, message: bytes) -> None:
-        self.last[name.decode(errors="replace")] = message.decode(errors="replace")
+        if self.first is None:
+            self.first = name.decode(errors="replace"), message.decode(errors="replace")
 
 
 class Part:
@@ -242,5 +243,5 @@ class Part:
         try:
             self._slave.doStep(currentCommunicationPoint=time, communicationStepSize=h)
         except FMICallException as error:
-            reason = self._log.last.get(self.name, str(error))
-            raise UserError(f"{self.fmu}: at {time:g} s: {reason}") from error
+            part, reason = self._log.first or (self.name, str(error))
+            raise UserError(f"{part}: stopped before {time + h:g} s: {reason}") from error

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from .errors import UserError
 from .loop import Loop
 from .simulate import describe
 
@@ -94,6 +95,8 @@ def _component(elements: Element, part: str, loop: Loop) -> None:
         given = SubElement(values, "ssv:ParameterSet", {"version": "1.0", "name": PARAMETERS})
         parameters = SubElement(given, "ssv:Parameters")
         for name, value in start.items():
+            if name not in types:
+                raise UserError(f"{fmu}: there is no variable {name!r} to start with")
             parameter = SubElement(parameters, "ssv:Parameter", {"name": name})
             SubElement(parameter, f"ssv:{types[name]}", {"value": _text(types[name], value)})
 

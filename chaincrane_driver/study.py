@@ -117,8 +117,9 @@ PREFACE = """# The linear model as an observer
 Written by `chaincrane study observer --out docs`, from the FMUs alone. The plant is `crane_nl.fmu`
 with ten elements, undamped, its time step 1 ms; the loop is closed every 10 ms; the move is 1 m
 within 0.5 m/s and 1 m/s2, seen for 12 s. Noise is 2 mm (camera) or 0.5 degrees (rope) on each
-sample. Errors are of the estimated `payload.x_rel` and `chain.mid_x_rel`, RMS over the whole run; residual sway is
-the largest of the last 5 s; the payload settles where it stays within 5 mm of its target.
+sample. Errors are of the estimated `payload.x_rel` and `chain.mid_x_rel`, RMS over the whole run;
+residual sway is the largest of the last 5 s; the payload settles where it stays within 5 mm of its
+target.
 
 The observer with ten elements has the plant's own mesh: its errors are what the linearisation and
 the noise cost, and flatter it.
