@@ -117,6 +117,15 @@ def _check_fields(group: Any, prefix: str) -> None:
             check_number(name, value, allowed, test=test)
 
 
+def _stiffest(crane: Crane, elements: int) -> float:
+    """EA, N, whose tension moves by a thousandth of the weight with a position's last digit.
+
+    That digit, 2e-16 of the length, is a force of 2e-16 n EA in an element.
+    """
+    weight = crane.gravity * (crane.chain.mass + crane.payload.mass)
+    return 1e-3 * weight / (2e-16 * elements)
+
+
 def check(crane: Crane, initial: Initial, numerics: Numerics) -> None:
     """Raise BadValue for the first value that is not allowed; names are the FMU's."""
     _check_fields(crane, "")
@@ -124,6 +133,10 @@ def check(crane: Crane, initial: Initial, numerics: Numerics) -> None:
     elements = numerics.elements
     if not isinstance(elements, int) or not 1 <= elements <= MAX_ELEMENTS:
         raise BadValue("chain.elements", elements, f"a whole number from 1 to {MAX_ELEMENTS}")
+    stiffest = _stiffest(crane, elements)
+    if stiffest < crane.chain.EA:
+        allowed = f"at most {stiffest:.3g} N: beyond, round-off outweighs these masses and elements"
+        raise BadValue("chain.EA", crane.chain.EA, allowed)
     check_number("solver.max_step", numerics.max_step, _POSITIVE, test=lambda v: v > 0)
     if numerics.scheme not in SCHEMES:
         raise BadValue("solver.scheme", numerics.scheme, "one of " + ", ".join(SCHEMES))
