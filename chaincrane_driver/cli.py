@@ -34,16 +34,27 @@ def run_all(one: Scenario, fmus: Path) -> dict[str, Table]:
     return {run.name: table for run, table in zip(one.runs, tables, strict=True)}
 
 
+def checked_units(one: Scenario, fmus: Path) -> dict[str, str | None]:
+    """Units of the first run's variables by name; raises UserError for a signal it has not."""
+    variables = describe(fmus / one.runs[0].fmu).modelVariables
+    units = {variable.name: variable.unit for variable in variables}
+    for signal in one.look_at:
+        if signal not in units:
+            raise UserError(f"{one.folder / 'scenario.toml'}: look_at: there is no {signal!r}")
+    return units
+
+
 def command_run(options: argparse.Namespace) -> int:
     """Run scenarios: results as CSV, a table of differences, a picture."""
     for folder in options.scenario:
         one = scenario.load(folder)
         results = run_all(one, options.fmus)
+        units = checked_units(one, options.fmus)
         out = options.out / one.name
         for name, table in results.items():
             write_table(out / f"{name}.csv", table)
-        print(f"{one.title} ({one.name})\n\n{compare.comparison_table(one, results)}\n")
-        pictures = plots.comparison(one, results, out / "comparison")
+        print(f"{one.title} ({one.name})\n\n{compare.comparison_table(one, results, units)}\n")
+        pictures = plots.comparison(one, results, units, out / "comparison")
         print(f"written: {out}/*.csv, {', '.join(str(path) for path in pictures)}\n")
     return 0
 
@@ -55,7 +66,8 @@ def command_figures(options: argparse.Namespace) -> int:
         one = scenario.load(options.scenarios / name)
         results = run_all(one, options.fmus)
         panels.append((label, one, results))
-        print(f"{one.title}\n\n{compare.comparison_table(one, results)}\n")
+        units = checked_units(one, options.fmus)
+        print(f"{one.title}\n\n{compare.comparison_table(one, results, units)}\n")
     drawings = [
         ("fig5_payload_absolute", "payload.x", "Absolute motion of the payload"),
         ("fig6_payload_relative", "payload.x_rel", "Motion of the payload relative to the trolley"),
@@ -287,8 +299,12 @@ def main(arguments: list[str] | None = None) -> int:
         return int(options.action(options))
     except UserError as error:
         print(f"chaincrane: {error}", file=sys.stderr)
+    except BrokenPipeError:  # the reader has seen enough: chaincrane ... | head
+        sys.stdout = None
+        return 0
     except OSError as error:
-        print(f"chaincrane: {error.filename}: {error.strerror}", file=sys.stderr)
+        reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        print(f"chaincrane: {reason}", file=sys.stderr)
     except KeyboardInterrupt:
         print("chaincrane: stopped", file=sys.stderr)
     return 2

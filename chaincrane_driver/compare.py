@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -48,20 +48,28 @@ def difference(truth: Table, other: Table, signal: str) -> Difference:
     )
 
 
-def comparison_table(scenario: Scenario, results: dict[str, Table]) -> str:
+def shown(unit: str | None) -> tuple[float, str]:
+    """Factor and name of the unit that values of ``unit`` are shown in: lengths in mm."""
+    return (1e3, "mm") if unit == "m" else (1.0, unit or "")
+
+
+def comparison_table(
+    scenario: Scenario, results: dict[str, Table], units: Mapping[str, str | None]
+) -> str:
     """RMS and largest difference to the first run, for each signal looked at, as Markdown."""
     first, *others = scenario.runs
     header = ("signal", f"against {first.label}", "RMS", "largest", "RMS", "largest")
     rows = []
     for signal in scenario.look_at:
+        factor, unit = shown(units[signal])
         for run in others:
             gap = difference(results[first.name], results[run.name], signal)
             rows.append(
                 (
                     signal,
                     run.label,
-                    f"{1e3 * gap.rms:.2f} mm",
-                    f"{1e3 * gap.largest:.2f} mm",
+                    f"{factor * gap.rms:.2f} {unit}",
+                    f"{factor * gap.largest:.2f} {unit}",
                     f"{gap.rms_percent:.2f} %",
                     f"{gap.largest_percent:.2f} %",
                 )
@@ -139,9 +147,12 @@ def check(scenario: Scenario, run: Run, result: Table, reference: Table) -> list
         raise UserError(f"{path}: its times are not the scenario's; renew it with --update")
     rules = tolerances(scenario)
     assert reference.dtype.names is not None and rows.dtype.names is not None
-    missing = [name for name in reference.dtype.names if name not in rows.dtype.names]
-    if missing:
-        raise UserError(f"{path}: the FMU has no output {missing[0]!r}")
+    for name in reference.dtype.names:
+        if name not in rows.dtype.names:
+            raise UserError(f"{path}: the FMU has no output {name!r}")
+    for name in rows.dtype.names:
+        if name not in reference.dtype.names:
+            raise UserError(f"{path}: has no column {name!r}; renew it with --update")
     findings = []
     for name in reference.dtype.names[1:]:
         tolerance = _tolerance(rules, name, path)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .compare import shown
 from .scenario import Run, Scenario
 from .simulate import Table
 
@@ -69,28 +72,34 @@ def _save(figure: Figure, stem: Path) -> list[Path]:
     return paths
 
 
-def _curves(axes: Axes, runs: tuple[Run, ...], results: Results, signal: str) -> None:
-    for run, style in zip(runs, STYLES, strict=False):
+def _curves(
+    axes: Axes, runs: tuple[Run, ...], results: Results, signal: str, unit: str | None = "m"
+) -> None:
+    factor, name = shown(unit)
+    for run, style in zip(runs, cycle(STYLES), strict=False):
         table = results[run.name]
-        axes.plot(table["time"], 1e3 * table[signal], label=run.label, **style)
+        axes.plot(table["time"], factor * table[signal], label=run.label, **style)
     axes.set_title(SIGNAL_TITLES.get(signal, signal), loc="left", fontsize=9)
-    axes.set_ylabel("mm")
+    axes.set_ylabel(name)
     axes.margins(x=0)
 
 
-def comparison(scenario: Scenario, results: Results, stem: Path) -> list[Path]:
+def comparison(
+    scenario: Scenario, results: Results, units: Mapping[str, str | None], stem: Path
+) -> list[Path]:
     """Each signal looked at, of all runs, and below it their differences to the first run."""
     count = len(scenario.look_at)
     figure, axes = _new(2, count, 5.2 * count, 5.0, sharex=True, height_ratios=(2, 1))
     truth = results[scenario.runs[0].name]
     for column, signal in enumerate(scenario.look_at):
         top, bottom = axes[0, column], axes[1, column]
-        _curves(top, scenario.runs, results, signal)
-        for run, style in list(zip(scenario.runs, STYLES, strict=False))[1:]:
+        factor, unit = shown(units[signal])
+        _curves(top, scenario.runs, results, signal, units[signal])
+        for run, style in list(zip(scenario.runs, cycle(STYLES), strict=False))[1:]:
             gap = results[run.name][signal] - truth[signal]
-            bottom.plot(truth["time"], 1e3 * gap, **style)
+            bottom.plot(truth["time"], factor * gap, **style)
         bottom.set_title(f"difference to: {scenario.runs[0].label}", loc="left", fontsize=9)
-        bottom.set_ylabel("mm")
+        bottom.set_ylabel(unit)
         bottom.set_xlabel("time, s")
     figure.suptitle(scenario.title)
     _legend(figure, axes[0, 0])

@@ -82,21 +82,26 @@ def load(folder: Path) -> Scenario:
         stop_time = float(experiment["stop_time"])
         interval = float(experiment["output_interval"])
         runs = tuple(
-            Run(run["name"], run["label"], run["fmu"], dict(run.get("start", {})))
+            Run(
+                _text(run, "name"),
+                _text(run, "label"),
+                _text(run, "fmu"),
+                dict(run.get("start", {})),
+            )
             for run in data["run"]
         )
         scenario = Scenario(
             folder=folder.resolve(),
-            title=data["title"],
-            asks=data["asks"],
+            title=_text(data, "title"),
+            asks=_text(data, "asks"),
             stop_time=stop_time,
             output_interval=interval,
             reference_interval=float(experiment.get("reference_interval", interval)),
-            look_at=tuple(experiment["look_at"]),
+            look_at=_texts(experiment, "look_at"),
             start=dict(data.get("start", {})),
             runs=runs,
             tolerance=dict(data.get("tolerance", {})),
-            input=folder / experiment["input"] if "input" in experiment else None,
+            input=folder / _text(experiment, "input") if "input" in experiment else None,
         )
     except KeyError as error:
         raise UserError(f"{path}: the key {error.args[0]!r} is missing") from error
@@ -104,9 +109,25 @@ def load(folder: Path) -> Scenario:
         raise UserError(f"{path}: {error}") from error
     if not 0.0 < interval <= stop_time < float("inf"):
         raise UserError(f"{path}: needs 0 < output_interval <= stop_time, both in seconds")
-    if not runs:
-        raise UserError(f"{path}: needs at least one [[run]]")
+    if not runs or len({run.name for run in runs}) < len(runs):
+        raise UserError(f"{path}: needs at least one [[run]], and no name twice")
+    rows = scenario.reference_interval / interval
+    if not (rows > 0.5 and abs(rows - round(rows)) < 1e-9):
+        raise UserError(f"{path}: reference_interval must be a multiple of output_interval")
     return scenario
+
+
+def _text(table: dict[str, Any], key: str) -> str:
+    if not isinstance(table[key], str):
+        raise TypeError(f"{key} = {table[key]!r} must be a text in quotes")
+    return str(table[key])
+
+
+def _texts(table: dict[str, Any], key: str) -> tuple[str, ...]:
+    value = table[key]
+    if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+        raise TypeError(f"{key} = {value!r} must be a list of names in quotes")
+    return tuple(value)
 
 
 def find(folder: Path) -> list[Scenario]:

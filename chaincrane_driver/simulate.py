@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from fmpy import read_model_description, simulate_fmu
@@ -153,15 +153,15 @@ def simulate_all(jobs: Sequence[Work], label: str) -> list[Table]:
                     there.close()
                     running[here] = number, process
                 for ready in wait(list(running)):
-                    assert isinstance(ready, Connection)
-                    number, worker = running[ready]
-                    message = _receive(ready, worker, jobs[number])
+                    pipe = cast(Connection, ready)
+                    number, worker = running[pipe]
+                    message = _receive(pipe, worker, jobs[number])
                     if isinstance(message, float):
                         reached[number] = message
                     else:
                         results[number] = message
                         reached[number] = jobs[number].stop_time
-                        del running[ready]
+                        del running[pipe]
                 bar.update(sum(reached.values()) - bar.n)
         finally:
             for _, worker in running.values():
@@ -188,6 +188,8 @@ def _work(job: Work, pipe: Connection) -> None:
         pipe.send(job.run(pipe.send))
     except UserError as error:
         pipe.send(str(error))
+    except Exception as error:
+        pipe.send(f"{job.name}: {_one_line(error)}")
     pipe.close()
     os._exit(0)  # at a normal exit the interpreter would unload the FMU's own Python: it may crash
 

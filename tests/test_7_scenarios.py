@@ -86,6 +86,13 @@ def test_a_nan_is_a_difference() -> None:
     assert finding.first == pytest.approx(reference["time"][7])
 
 
+def test_a_reference_that_lacks_a_signal_is_no_reference() -> None:
+    one = scenario.load(SCENARIOS / "payload_push")
+    reference = read_table(one.reference(one.runs[0]))
+    with pytest.raises(UserError, match=r"no column 'trolley.x'"):
+        check(one, one.runs[0], reference, reference[["time"]])
+
+
 def test_run_writes_results_table_and_pictures(fmus: Path, tmp_path: Path) -> None:
     folder = SCENARIOS / "payload_push"
     done = chaincrane("run", folder, "--fmus", fmus, "--out", tmp_path)
@@ -140,6 +147,11 @@ def edited(tmp_path: Path, file: str, old: str, new: str) -> Path:
         ("scenario.toml", '"payload.mass" = 0.42', '"payload.mas" = 0.42', ["'payload.mas'"]),
         ("scenario.toml", "0.42", "-0.42", ["payload.mass = -0.42 is not allowed", "above 0"]),
         ("scenario.toml", "crane_nl.fmu", "crane_no.fmu", ["crane_no.fmu", "build_fmu.py"]),
+        ("scenario.toml", '["payload.x_rel"', '["payload.x_re"', ["look_at", "'payload.x_re'"]),
+        ("scenario.toml", '["payload.x_rel", "chain.mid_x_rel"]', '"payload.x_rel"', ["look_at"]),
+        ("scenario.toml", '"crane_nl.fmu"', "5", ["fmu = 5 must be a text"]),
+        ("scenario.toml", "reference_interval = 0.02", "reference_interval = 0", ["multiple"]),
+        ("scenario.toml", '"linear_2"', '"linear_10"', ["no name twice"]),
         ("scenario.toml", '"input.csv"', '"inputs.csv"', ["inputs.csv", "No such file"]),
     ],
 )
