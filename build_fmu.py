@@ -48,14 +48,15 @@ def kernel_libraries() -> dict[str, bytes]:
 
 
 def content_hash(sources: dict[str, bytes], native: dict[str, bytes]) -> str:
-    """Hash of what goes into an FMU: its sources, what describes it, and pythonfmu's version."""
+    """Hash of all that makes an FMU: its sources, what describes and builds it, pythonfmu."""
     import pythonfmu
 
     digest = sha256(pythonfmu.__version__.encode())
     described = [SOURCES / "model_description.py", SOURCES / "icon.py"]
     described += sorted((SOURCES / "documentation").iterdir())
     texts = {file.relative_to(SOURCES).as_posix(): file.read_bytes() for file in described}
-    for name, content in sorted((sources | texts | native).items()):
+    texts["build_fmu.py"] = Path(__file__).read_bytes()
+    for name, content in sorted((sources | texts | native | licences()).items()):
         digest.update(f"{name}\0{len(content)}\0".encode())
         digest.update(content)
     return digest.hexdigest()
@@ -72,7 +73,7 @@ def stage(sources: dict[str, bytes], digest: str, folder: Path) -> None:
             text = text.replace('SOURCES = "unbuilt"', f'SOURCES = "{digest}"')
         target = folder / renamed.sub(rf"\1_{tag}\2", name)
         target.parent.mkdir(exist_ok=True)
-        target.write_text(text)
+        target.write_bytes(text.encode())
 
 
 def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Path:

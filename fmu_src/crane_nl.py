@@ -25,13 +25,16 @@ class crane_nl(FmiSlave):
     """Overhead crane with a flexible chain, nonlinear (Maourane & Szabo 2020, section 2.1)."""
 
     variables = VARIABLES
+    _warned = False
 
     def make_model(self, parameters: dict[str, Any]) -> Model:
         """The nonlinear crane; raises CraneError for what is not allowed."""
         if LIBRARY is not None:
             return kernel.NativeCrane(*settings(parameters), library=LIBRARY)
-        warning = f"{MISSING}: the NumPy model runs instead, about fifty times slower"
-        self.log(warning, Fmi2Status.warning, "logStatusWarning")
+        if not self._warned:
+            warning = f"{MISSING}: the NumPy model runs instead, some two hundred times slower"
+            self.log(warning, Fmi2Status.warning, "logStatusWarning")
+            self._warned = True
         return NonlinearCrane(*settings(parameters))
 
 

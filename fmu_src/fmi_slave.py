@@ -46,6 +46,8 @@ def mend_import(namespace: dict[str, Any]) -> None:
 class Model(Protocol):
     """What a slave runs."""
 
+    start_time: float  # s, the host's; only for messages
+
     def step(self, h: float, *inputs: float) -> None:
         """Advance by ``h`` s under held inputs; raises CraneError, the state unchanged."""
 
@@ -92,7 +94,7 @@ class FmiSlave(Fmi2Slave):
         self._model: Model | None = None
         self._observed = False
         self._phase = "instantiated"
-        self._time = 0.0
+        self._start = self._time = 0.0
         self._fault: str | None = None
         self._refusal: str | None = None
         self._last_error: str | None = None
@@ -106,7 +108,7 @@ class FmiSlave(Fmi2Slave):
         if not isfinite(start_time):
             self._refuse(str(BadValue("start time", start_time, "a finite number, s")))
         elif self._phase != "stepping":
-            self._time = start_time
+            self._start = self._time = start_time
 
     def enter_initialization_mode(self) -> None:
         """From here on, until it is left, start values may be set and outputs be read."""
@@ -121,7 +123,10 @@ class FmiSlave(Fmi2Slave):
             self._refuse("initialisation mode was left without being entered")
             return
         self._phase = "stepping"
-        self._build()
+        if self._model is None:  # else it was made to be looked at, from the same values
+            self._build()
+        else:
+            self._model.start_time = self._start
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance the model; False, the state unchanged, where that cannot be done."""
@@ -160,11 +165,10 @@ class FmiSlave(Fmi2Slave):
         self._observed = False
         try:
             self._model = self.make_model(values)
+            self._model.start_time = self._start
         except Exception as error:
             self._model = None
-            known = isinstance(error, CraneError)
-            self._fault = str(error) if known else f"internal error, please report it: {error!r}"
-            self._log_error(self._fault)
+            self._fail(error)
 
     # --- variables ----------------------------------------------------------------------------
 
@@ -236,7 +240,12 @@ class FmiSlave(Fmi2Slave):
             if self._phase != "stepping":
                 self._fault = None  # start values may still be mended
         self._observed = True
-        seen = self._no_outputs if self._model is None else self._model.output_values()
+        seen = self._no_outputs
+        if self._model is not None:
+            try:
+                seen = self._model.output_values()
+            except Exception as error:
+                self._fail(error)
         self._values[self._first_output :] = seen
 
     # --- errors -------------------------------------------------------------------------------
@@ -245,6 +254,12 @@ class FmiSlave(Fmi2Slave):
         """Log what is refused now; the next step fails with it, once."""
         self._log_error(message)
         self._refusal = message
+
+    def _fail(self, error: Exception) -> None:
+        """Log an error that every step from now on fails with, until a reset or a good state."""
+        known = isinstance(error, CraneError)
+        self._fault = str(error) if known else f"internal error, please report it: {error!r}"
+        self._log_error(self._fault)
 
     def _log_error(self, message: str) -> None:
         """One line in the FMI log; on stderr too, since pythonfmu drops it where logging is off."""
@@ -262,23 +277,29 @@ class FmiSlave(Fmi2Slave):
             "model": self.modelName,
             "sources": SOURCES,
             "phase": self._phase,
+            "start": self._start,
             "time": self._time,
             "fault": self._fault,
             "refusal": self._refusal,
             "values": self._values[: self._first_output],
         }
-        model = b"" if self._model is None else self._model.save()
-        body = json.dumps(head).encode() + b"\n" + model
+        try:
+            model = b"" if self._model is None else self._model.save()
+            body = json.dumps(head).encode() + b"\n" + model
+        except Exception as error:
+            self._fail(error)
+            return b""  # no state: restoring it is refused
         return STATE_MAGIC + sha256(body).digest() + body
 
     def _set_fmu_state(self, state: bytes) -> None:
         """Restore a state, all or nothing; one that is damaged or foreign becomes a fault."""
+        kept = {**self.__dict__, "_values": list(self._values)}
         try:
             self._restore(state)
         except Exception as error:
+            self.__dict__.update(kept)
             known = isinstance(error, CraneError)
-            self._fault = str(error) if known else f"the saved state cannot be read: {error!r}"
-            self._log_error(self._fault)
+            self._fail(error if known else BadState(f"the saved state cannot be read: {error!r}"))
 
     def _restore(self, state: bytes) -> None:
         digest_end = len(STATE_MAGIC) + 32
@@ -292,14 +313,22 @@ class FmiSlave(Fmi2Slave):
                 f"the saved state is of {head['model']}, sources {head['sources']};"
                 f" this is {self.modelName}, sources {SOURCES}"
             )
+        first_parameter = len(self._inputs)
+        same = (
+            head["values"][first_parameter:] == self._values[first_parameter : self._first_output]
+        )
         self._values[: self._first_output] = head["values"]
-        self._phase, self._time = head["phase"], head["time"]
-        self._model, self._observed, self._refusal = None, False, head["refusal"]
-        self._fault = None
+        self._phase, self._start, self._time = head["phase"], head["start"], head["time"]
+        self._observed, self._refusal, self._fault = False, head["refusal"], None
+        if not (same and model_bytes):  # a model of other parameters is of no use
+            self._model = None
         if model_bytes:
-            self._build()
-            assert self._model is not None
+            if self._model is None:
+                self._build()
+            if self._model is None:
+                raise CraneError(self._fault)
             self._model.load(model_bytes)
+            self._model.start_time = self._start
         self._fault = head["fault"]
 
     @staticmethod

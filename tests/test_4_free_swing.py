@@ -149,24 +149,34 @@ def test_13_ms_are_13_steps_of_1_ms() -> None:
     assert crane.effort.steps == 13
 
 
-def test_newmark_stops_with_an_error_where_it_cannot_be_trusted() -> None:
-    """The paper's rule, light payload, from rest, undamped, at 5 ms: no silent number."""
-    crane = NonlinearCrane(
-        Crane(payload=Payload(0.01)), Initial(0.0), Numerics(max_step=5e-3, scheme="newmark")
-    )
-    truth = NonlinearCrane(Crane(payload=Payload(0.01)), Initial(0.0))
-    reached = 0.0
-    try:
-        for i in range(300):
-            crane.step(5e-3, SPEED if i < 200 else 0.0)
-            truth.step(5e-3, SPEED if i < 200 else 0.0)
-            reached = crane.time
-    except (NotConverged, EnergyBalanceBroken) as error:
-        assert "at t = " in str(error)
-        assert crane.time == reached
-    out = crane.outputs()
-    assert abs(out["energy.error"]) <= 0.01 * out["energy.total"] + 1e-9
-    assert np.hypot(out["payload.x_rel"], out["payload.y"]) < 0.81
+def test_newmark_is_near_the_truth_or_stops_with_an_error() -> None:
+    """The paper's rule where it is not safe: a light payload from rest, undamped, 5 ms.
+
+    It ends in an error that says when, or is within 2 cm of the default scheme at 1 ms to 0.5 s
+    after the stop; further on the motion itself has no unique answer.
+    """
+    light = Crane(payload=Payload(0.01))
+    crane = NonlinearCrane(light, Initial(0.0), Numerics(max_step=5e-3, scheme="newmark"))
+    truth = NonlinearCrane(light, Initial(0.0))
+    for i in range(300):
+        v_cmd = SPEED if i < 200 else 0.0
+        truth.step(5e-3, v_cmd)
+        try:
+            crane.step(5e-3, v_cmd)
+        except (NotConverged, EnergyBalanceBroken) as error:
+            assert "at t = " in str(error)
+            assert crane.time == pytest.approx(i * 5e-3)
+            return
+        assert np.hypot(*np.subtract(seen(crane), seen(truth))) < 0.02, crane.time
+
+
+def test_newmark_ends_where_its_energy_does_not_balance() -> None:
+    """A case of the study (benchmarks/robustness.py) that it got silently wrong by 4 %."""
+    soft = Crane(chain=Chain(EA=128984.0), payload=Payload(6.4465))
+    crane = NonlinearCrane(soft, Initial(0.0), Numerics(20, 5e-3, "newmark"))
+    crane.step(1.0, 1.352277)
+    with pytest.raises(EnergyBalanceBroken, match="since the start is off by"):
+        crane.step(4.0, 0.0)
 
 
 def test_a_failed_step_leaves_the_state() -> None:

@@ -259,6 +259,11 @@ BAD_STARTS = [
     ("chain.mass", "nan", "a finite number above 0"),
     ("chain.length", 0.0, "a finite number above 0"),
     ("chain.EA", "inf", "a finite number above 0"),
+    (
+        "chain.EA",
+        1e18,
+        "at most 3.14e+12 N: beyond, round-off outweighs these masses and elements",
+    ),
     ("payload.mass", 0.0, "a finite number above 0"),
     ("gravity", -9.81, "a finite number above 0"),
     ("damping.air", -0.1, "a finite number, 0 or above"),
@@ -361,6 +366,25 @@ def test_a_solver_that_does_not_converge_says_when_and_why(fmus: Path) -> None:
     status, message, unchanged, usable = in_fresh_process(_unconverged, str(fmus / "crane_nl.fmu"))
     assert (status, unchanged, usable) == (2, True, True)
     assert message.startswith("logStatusError: at t = 0.1 s: ")
+
+
+def _fails_late(fmu: str) -> str:
+    from slave_host import LOG, Host
+
+    host = Host(fmu, initialise=False)
+    host.slave.setupExperiment(startTime=100.0)
+    host.slave.enterInitializationMode()
+    host.slave.exitInitializationMode()
+    host.time = 100.0
+    host.run(3)
+    host.set("trolley.v_cmd", 1e9)
+    host.step()
+    return LOG[-1]
+
+
+def test_messages_speak_of_the_hosts_time(fmus: Path) -> None:
+    message = in_fresh_process(_fails_late, str(fmus / "crane_nl.fmu"))
+    assert message.startswith("logStatusError: at t = 100.03 s: ")
 
 
 def _stepped_without_initialisation(fmu: str) -> list[Any]:

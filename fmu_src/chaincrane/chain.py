@@ -15,7 +15,7 @@ long travel costs no digits. Arrays of nodes leave out node 0 and have shape (n,
 y; arrays of elements have shape (n, 2) or (n,).
 
 Source: Maourane & Szabo, Pollack Periodica 15(2), 2020, 82-93, section 2.1 (its numbers in
-brackets), with the corrections that README lists.
+brackets), with the corrections that documentation/EQUATIONS.md lists.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class CraneModel(ABC):
         self.chain: DiscreteChain = discretise(
             self.crane, self.numerics.elements, self.numerics.mass_matrix
         )
-        self.time = 0.0
+        self.start_time = self.time = 0.0
         self.trolley = Trolley(v=self.initial.speed)
         self.effort = Effort()
         fractions = np.append(np.arange(1, MATERIAL_POINTS + 1) / MATERIAL_POINTS, 0.5)

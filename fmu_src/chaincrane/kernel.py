@@ -17,7 +17,7 @@ from .ledger import Effort, Ledger
 from .parameters import MASS_MATRICES, SCHEMES, Crane, Initial, Numerics, check
 from .trolley import Trolley, checked_move
 
-KERNEL_VERSION = 2  # CHAIN_KERNEL_VERSION of the header that the structures below mirror
+KERNEL_VERSION = 3  # CHAIN_KERNEL_VERSION of the header that the structures below mirror
 _OK, _NOT_CONVERGED, _SINGULAR, _STEP_ENERGY, _TOTAL_ENERGY, _BAD_VALUE = range(6)
 _HEADER = 17  # doubles of the state before its arrays, in the order of CraneModel.save()
 _PLATFORMS = {
@@ -75,6 +75,9 @@ def load_library(path: str | None = None) -> Any:
         raise KernelMissing(f"no compiled kernel fits this host: {error}") from None
     if version != KERNEL_VERSION:
         raise KernelMissing(f"{path} is of version {version}; version {KERNEL_VERSION} is needed")
+    sizes = library.chain_output_count(), library.chain_settings_size()
+    if sizes != (len(OUTPUTS), ctypes.sizeof(_Settings)):
+        raise KernelMissing(f"{path} has another interface than this package: {sizes}")
     number, pointer = ctypes.c_double, ctypes.c_void_p
     library.chain_memory.restype = ctypes.c_size_t
     library.chain_memory.argtypes = [ctypes.c_int]
@@ -129,6 +132,7 @@ class NativeCrane:
         self._failure = _Failure()
         self._failure_address = ctypes.addressof(self._failure)
         self._outputs = (ctypes.c_double * len(OUTPUTS))()
+        self.start_time = 0.0  # s, the host's; only for messages
         self._c_step, self._c_outputs = c.chain_step, c.chain_outputs
 
     def step(
@@ -156,7 +160,8 @@ class NativeCrane:
             error = NotConverged.singular(h)
         else:
             error = NotConverged.in_step(h)
-        raise type(error)(f"at t = {failure.time:.6g} s: {error}")
+        when = self.start_time + failure.time
+        raise type(error)(f"at t = {when:.6g} s: {error}")
 
     @property
     def time(self) -> float:

@@ -153,7 +153,7 @@ class NonlinearCrane(CraneModel):
             except (NotConverged, EnergyBalanceBroken) as error:
                 effort = Effort(effort.steps, effort.iterations + error.iterations)
                 if halvings == MAX_HALVINGS:
-                    when = self.time + elapsed
+                    when = self.start_time + self.time + elapsed
                     raise type(error)(f"at t = {when:.6g} s: {error}") from None
                 pending.append((elapsed + 0.5 * h, 0.5 * h, halvings + 1))
                 pending.append((elapsed, 0.5 * h, halvings + 1))

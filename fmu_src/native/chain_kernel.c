@@ -1,7 +1,7 @@
 /* The nonlinear crane's communication step; see chain_kernel.h.
 
    Source: Maourane & Szabo, Pollack Periodica 15(2), 2020, 82-93, section 2.1 (its numbers in
-   brackets), with the corrections that README lists. Sketch, signs and units are at the top of
+   brackets), with the corrections that documentation/EQUATIONS.md lists. Sketch, signs and units are at the top of
    chaincrane/chain.py. Nodes 1..n are entries 0..n-1 of an array; node 0 is the trolley. */
 
 #include "chain_kernel.h"
@@ -818,6 +818,10 @@ static size_t lay_out(ChainKernel *k, char *memory, int elements) {
 }
 
 int chain_version(void) { return CHAIN_KERNEL_VERSION; }
+
+int chain_output_count(void) { return CHAIN_OUTPUTS; }
+
+int chain_settings_size(void) { return (int)sizeof(ChainSettings); }
 
 size_t chain_memory(int elements) { return lay_out(NULL, NULL, elements); }
 

@@ -19,7 +19,7 @@
 #endif
 
 /* Raised whenever the layout of a struct here, of the state or of the outputs changes. */
-enum { CHAIN_KERNEL_VERSION = 2 };
+enum { CHAIN_KERNEL_VERSION = 3 };
 
 enum { CHAIN_ENERGY_MOMENTUM = 0, CHAIN_NEWMARK = 1 };
 
@@ -62,6 +62,10 @@ typedef struct ChainKernel ChainKernel;
 
 /* CHAIN_KERNEL_VERSION of this build. */
 CHAIN_API int chain_version(void);
+
+/* Number of outputs, and bytes of ChainSettings, for a caller to compare with its own. */
+CHAIN_API int chain_output_count(void);
+CHAIN_API int chain_settings_size(void);
 
 /* Bytes of memory that a kernel of so many elements needs, aligned as doubles are. */
 CHAIN_API size_t chain_memory(int elements);
