@@ -201,7 +201,7 @@ def report(name: str, outcomes: Sequence[Outcome], limit: int) -> None:
 
 
 def main() -> int:
-    """Run the study; 0 where no case is wrong."""
+    """Run the study; 0 where none is wrong and, of the default scheme, none failed (5 ms: 1 %)."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--steps", type=float, nargs="+", default=[1.0, 2.0, 5.0], help="ms")
     parser.add_argument("--scheme", choices=SCHEMES, default=SCHEMES[0])
@@ -215,7 +215,7 @@ def main() -> int:
         f"{'cases':24s} {'number':>5s} {'wrong':>6s} {'failed':>6s} {'gained':>9s} {'defect':>9s}"
         f" {'distance':>9s} {'steps/step':>10s} {'iter/step':>10s} {'seconds':>8s}"
     )
-    wrong = 0
+    wrong, too_many = 0, False
     with Pool(options.processes) as pool:
         for milliseconds in options.steps:
             step = milliseconds / 1e3
@@ -228,7 +228,10 @@ def main() -> int:
                     outcomes = pool.map(run, cases, chunksize=5)
                     report(f"{name}, {milliseconds:g} ms", outcomes, options.show)
                     wrong += sum(outcome.wrong for outcome in outcomes)
-    return 1 if wrong else 0
+                    failed = sum(outcome.error is not None for outcome in outcomes)
+                    allowed = 0.0 if milliseconds <= 2.0 else 0.01 * len(cases)
+                    too_many = too_many or failed > allowed
+    return 1 if wrong or (too_many and options.scheme == SCHEMES[0]) else 0
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import statistics
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -309,6 +310,27 @@ def fmu_ratio(rounds: int) -> tuple[float, float]:
     return statistics.median(ours), ratio
 
 
+def cold_ratio(rounds: int) -> tuple[float, float]:
+    """Time of ``fmpy simulate crane_nl.fmu``, s; its ratio to an FMU that only imports NumPy."""
+    from pythonfmu.builder import FmuBuilder
+
+    from build_fmu import build
+
+    with tempfile.TemporaryDirectory() as scratch:
+        Path(scratch, "idle.py").write_text("import numpy\n" + NOTHING.replace("Nothing", "Idle"))
+        idle = FmuBuilder.build_FMU(f"{scratch}/idle.py", scratch)
+        files = [build("crane_nl", Path(scratch)), idle]
+        options = ["--stop-time=4", "--output-interval=0.005", f"--output-file={scratch}/out.csv"]
+
+        def run(file: Path) -> None:
+            fmpy = [sys.executable, "-m", "fmpy", "simulate", str(file), *options]
+            subprocess.run(fmpy, check=True, capture_output=True)
+
+        ours, theirs = timed([lambda: run(files[0]), lambda: run(files[1])], rounds)
+    ratio = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
+    return statistics.median(ours), ratio
+
+
 # --- meshes -----------------------------------------------------------------------------------
 
 
@@ -423,6 +445,9 @@ def main() -> int:
     fmu, ratio = fmu_ratio(options.rounds)
     print(f"crane_nl.fmu under FMPy: {1e6 * fmu / 4000:.1f} us a step of 1 ms,", end=" ")
     print(f"{ratio:.2f} times an FMU that does nothing")
+    cold, ratio = cold_ratio(options.rounds)
+    print(f"fmpy simulate crane_nl.fmu, cold: {cold:.2f} s,", end=" ")
+    print(f"{ratio:.2f} times an FMU that only imports NumPy")
     if options.plot:
         plot(points, cost, options.plot)
     return 0

@@ -677,6 +677,7 @@ def test_the_xml_is_complete(fmus: Path, model: str) -> None:
         real = variable.find("Real")
         if real is not None:
             assert real.get("unit") in units, row.name
+            assert real.get("nominal") is not None, row.name
         if row.causality == "parameter" and row.kind != "String" and row.name != "initial.speed":
             assert variable[0].get("min") is not None, row.name
 

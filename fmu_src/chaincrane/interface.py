@@ -106,7 +106,7 @@ PARAMETERS = (
         None,
         _NUMERICS.mass_matrix,
         "mass matrix of an element: consistent (the paper's) or averaged with the lumped one, which"
-        " halves the mesh's error",
+        " halves the mesh's error or better",
         kind="String",
     ),
 )
@@ -155,8 +155,20 @@ OUTPUTS = (
         "J",
         "energy + dissipated - work of trolley and payload force, since the start; ideally 0",
     ),
-    output("solver.steps", None, "internal steps of the last communication step", kind="Integer"),
-    output("solver.iterations", None, "iterations of the last communication step", kind="Integer"),
+    output(
+        "solver.steps",
+        None,
+        "internal steps of the last communication step",
+        kind="Integer",
+        minimum=0,
+    ),
+    output(
+        "solver.iterations",
+        None,
+        "iterations of the last communication step",
+        kind="Integer",
+        minimum=0,
+    ),
 )
 
 VARIABLES = INPUTS + PARAMETERS + OUTPUTS
