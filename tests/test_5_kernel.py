@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 import robustness
+from conftest import ROOT
 
 from chaincrane.errors import BadState, BadValue, CraneError
+from chaincrane.interface import INPUTS, settings
 from chaincrane.kernel import KernelMissing, NativeCrane, load_library
 from chaincrane.nonlinear import NonlinearCrane
 from chaincrane.parameters import (
@@ -24,6 +26,8 @@ from chaincrane.parameters import (
     Numerics,
     Payload,
 )
+from chaincrane_driver import scenario
+from chaincrane_driver.simulate import read_table
 
 PAYLOADS = {"heavy": MAOURANE_SZABO_2020_HEAVY, "light": MAOURANE_SZABO_2020_LIGHT}
 PLACES = ("payload.x", "payload.y", *(f"chain.{c}[{i}]" for c in "xy" for i in range(1, 11)))
@@ -173,3 +177,20 @@ def test_the_cost_of_an_element_hardly_grows(library: Any) -> None:
         crane.step(0.3)
         effort.append(crane.effort.iterations)
     assert effort[1] < 2 * effort[0]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", ["smooth_travel", "payload_push"])
+def test_kernel_and_numpy_agree_on_other_scenarios(library: Any, name: str, scheme: str) -> None:
+    """The scenarios that do not jump, their first 1.5 s; newmark's NumPy steps are slow."""
+    one = scenario.load(ROOT / "scenarios" / name)
+    assert one.input is not None
+    table = read_table(one.input)
+    chosen = settings(one.start | {"solver.scheme": scheme})
+    numpy, native = NonlinearCrane(*chosen), NativeCrane(*chosen, library=library)
+    for i in range(150):
+        row = table[int((table["time"] <= 0.01 * i + 1e-9).sum()) - 1]
+        held = [row[v.name] if v.name in table.dtype.names else 0.0 for v in INPUTS]
+        for crane in (numpy, native):
+            crane.step(0.01, *map(float, held))
+        assert farthest(numpy.outputs(), native.outputs()) < 1e-9
