@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Build the cranes' FMUs, their observer and their controller, and check each with FMPy.
+"""Build the cranes' FMUs, native twins, observer and controller, and check each with FMPy.
 
 The same sources give the same bytes: the guid is the sources' hash, entries are sorted and dated
 by SOURCE_DATE_EPOCH (or 1980), and modules inside an FMU carry the hash in their names, so that
@@ -19,10 +19,11 @@ from datetime import datetime, timezone
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import distribution
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 SOURCES = Path(__file__).resolve().parent / "fmu_src"
 MODELS = ("crane_nl", "crane_lin", "crane_observer", "crane_antisway")
+NATIVE_MODELS = ("crane_nl_native", "crane_lin_native")  # C, with no Python inside
 PACKAGE, SLAVE = "chaincrane", "fmi_slave"
 EARLIEST = 315532800  # 1980-01-01, the first day that a zip file can name
 
@@ -82,15 +83,10 @@ def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Pa
     from pythonfmu import __version__
     from pythonfmu.builder import FmuBuilder
 
-    import icon
-    import model_description
-
     sources = sources or read_sources(model)
     native = kernel_libraries() if model == "crane_nl" else {}
     digest = content_hash(sources, native)
     tag = digest[:12]
-    epoch = max(EARLIEST, int(os.environ.get("SOURCE_DATE_EPOCH", EARLIEST)))
-    date = datetime.fromtimestamp(epoch, tz=timezone.utc)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch, "src")
         folder.mkdir()
@@ -105,7 +101,17 @@ def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Pa
         with zipfile.ZipFile(raw) as archive:
             entries = {name: archive.read(name) for name in archive.namelist()}
     entries.update(native)
-    tool = f"chaincrane, pythonfmu {__version__}"
+    entries.update(licences())
+    return finish(model, digest, entries, f"chaincrane, pythonfmu {__version__}", dest)
+
+
+def finish(model: str, digest: str, entries: dict[str, bytes], tool: str, dest: Path) -> Path:
+    """Add what every FMU has, and write it into the folder ``dest``; its path."""
+    import icon
+    import model_description
+
+    epoch = max(EARLIEST, int(os.environ.get("SOURCE_DATE_EPOCH", EARLIEST)))
+    date = datetime.fromtimestamp(epoch, tz=timezone.utc)
     stamp = date.strftime("%Y-%m-%dT%H:%M:%SZ")
     entries["modelDescription.xml"] = model_description.model_description(
         model, digest, stamp, tool
@@ -117,11 +123,52 @@ def build(model: str, dest: Path, sources: dict[str, bytes] | None = None) -> Pa
     page = (SOURCES / "documentation" / model_description.FMUS[model].page).read_text()
     filled = model_description.documentation(model, digest, page)
     entries["documentation/index.html"] = filled.encode()
-    entries.update(licences())
     dest.mkdir(parents=True, exist_ok=True)
     fmu = dest / f"{model}.fmu"
     write_archive(fmu, entries, date)
     return fmu
+
+
+def native_sources(model: str) -> tuple[dict[str, bytes], str]:
+    """C files and headers of a native FMU, by name, and the hash of all that makes it.
+
+    The headers of the FMI standard are those of the FMPy that is installed.
+    """
+    sys.path[:0] = [str(SOURCES), str(SOURCES / "native")]
+    import compile_kernel
+    import fmpy
+
+    import c_header
+    import model_description
+
+    fmu = model_description.FMUS[model]
+    standard = Path(fmpy.__file__).parent / "c-code"
+    files = [SOURCES / "native" / name for name in (*fmu.c_sources, "no_startup.c")]
+    headers = sorted((SOURCES / "native").glob("*.h")) + sorted(standard.glob("fmi2*.h"))
+    sources = {file.name: file.read_bytes() for file in files + headers}
+    makers = [SOURCES / "c_header.py", SOURCES / "native" / "compile_kernel.py"]
+    makers += sorted((SOURCES / PACKAGE).glob("*.py"))
+    made_by = {file.relative_to(SOURCES).as_posix(): file.read_bytes() for file in makers}
+    digest = content_hash(sources | made_by, {"compiler": compile_kernel.compiler().encode()})
+    categories = tuple(model_description.LOG_CATEGORIES)
+    header = c_header.c_header(model, f"{{{digest}}}", digest, fmu.variables, categories)
+    return sources | {"interface.h": header.encode()}, digest
+
+
+def build_native(model: str, dest: Path) -> Path:
+    """Build one native FMU into the folder ``dest``; its path. Raises CalledProcessError."""
+    sources, digest = native_sources(model)
+    import compile_kernel
+
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, content in sources.items():
+            Path(scratch, name).write_bytes(content)
+        files = sorted(name for name in sources if name.endswith(".c"))
+        libraries = compile_kernel.libraries(Path(scratch), files, model, ["-DCHAIN_STATIC"])
+    entries = {f"binaries/{name}": content for name, content in libraries.items()}
+    entries |= {f"sources/{name}": content for name, content in sources.items()}
+    entries |= {"documentation/licenses/chaincrane.txt": (SOURCES.parent / "LICENSE").read_bytes()}
+    return finish(model, digest, entries, f"chaincrane, {compile_kernel.compiler()}", dest)
 
 
 def licences() -> dict[str, bytes]:
@@ -147,38 +194,46 @@ def write_archive(path: Path, entries: dict[str, bytes], date: datetime) -> None
     partial.replace(path)
 
 
+def platforms(fmu: Path) -> str:
+    """For which platforms an FMU has compiled C of ours."""
+    folder = "binaries" if fmu.stem in NATIVE_MODELS else "resources/native"
+    with zipfile.ZipFile(fmu) as archive:
+        names = [PurePosixPath(name) for name in archive.namelist()]
+    found = [name.parent.name for name in names if str(name.parent.parent) == folder]
+    return ", ".join(found) or "none"
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Build what the command line asks for; 0 where FMPy finds no problem."""
     parser = argparse.ArgumentParser(
         description="Build the FMUs and validate them with FMPy.",
-        epilog="examples:  python build_fmu.py    python build_fmu.py --dest out crane_nl",
+        epilog="examples:  python build_fmu.py    python build_fmu.py --dest out crane_nl"
+        "    python build_fmu.py --native",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("models", nargs="*", metavar="MODEL", help=f"{', '.join(MODELS)} (all)")
+    every = MODELS + NATIVE_MODELS
+    parser.add_argument("models", nargs="*", metavar="MODEL", help=f"{', '.join(every)}")
+    parser.add_argument("--native", action="store_true", help=f"build {', '.join(NATIVE_MODELS)}")
     parser.add_argument("--dest", type=Path, default=Path(), help="folder for the FMUs (this one)")
     options = parser.parse_args(arguments)
-    unknown = sorted(set(options.models) - set(MODELS))
+    unknown = sorted(set(options.models) - set(every))
     if unknown:
-        parser.error(f"no such model: {', '.join(unknown)}; there are {', '.join(MODELS)}")
+        parser.error(f"no such model: {', '.join(unknown)}; there are {', '.join(every)}")
     from fmpy.validation import validate_fmu
 
-    try:
-        kernels = kernel_libraries()
-    except subprocess.CalledProcessError as error:
-        print(f"the C kernel does not compile:\n{error.stderr}", file=sys.stderr)
-        return 1
-    platforms = ", ".join(Path(name).parent.name for name in kernels)
-    print(
-        f"C kernel for: {platforms or 'no platform, as there is no compiler (NumPy runs instead)'}"
-    )
     failed = False
-    for model in options.models or MODELS:
-        fmu = build(model, options.dest)
+    for model in options.models or (NATIVE_MODELS if options.native else MODELS):
+        try:
+            fmu = (build_native if model in NATIVE_MODELS else build)(model, options.dest)
+        except subprocess.CalledProcessError as error:
+            print(f"{model}: the C sources do not compile:\n{error.stderr}", file=sys.stderr)
+            return 1
         problems = validate_fmu(str(fmu))
         for problem in problems:
             print(f"{fmu}: {problem}", file=sys.stderr)
         failed = failed or bool(problems)
-        print(f"{fmu}: {'INVALID' if problems else 'valid'}, {fmu.stat().st_size // 1024} kB")
+        verdict = "INVALID" if problems else "valid"
+        print(f"{fmu}: {verdict}, {fmu.stat().st_size // 1024} kB; C for: {platforms(fmu)}")
     return 1 if failed else 0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from html import escape
 from string import Template
@@ -82,6 +82,7 @@ class Fmu:
     variables: tuple[Variable, ...]
     initial_dependencies: Callable[[str], tuple[str, ...]]  # of an output, on parameters
     page: str = "index.html"  # its documentation, in the documentation folder
+    c_sources: tuple[str, ...] = ()  # of a native FMU: its C files
 
     @property
     def outputs(self) -> list[Variable]:
@@ -117,6 +118,17 @@ FMUS = {
         "control.html",
     ),
 }
+
+_SLAVE = ("fmi2_slave.c", "saved_state.c", "text.c")
+for _model, _sources in (
+    ("crane_nl", ("nonlinear_model.c", "chain_kernel.c")),
+    ("crane_lin", ("linear_model.c",)),
+):
+    FMUS[f"{_model}_native"] = replace(
+        FMUS[_model],
+        description=f"{FMUS[_model].description}; native, no Python inside",
+        c_sources=(*_SLAVE, *_sources),
+    )
 
 
 def _variable_element(variable: Variable, reference: int) -> Element:
@@ -224,18 +236,21 @@ def model_description(model: str, sources: str, date: str, tool: str) -> bytes:
             "variableNamingConvention": "structured",
         },
     )
-    SubElement(
-        root,
-        "CoSimulation",
-        {
-            "modelIdentifier": model,
-            "needsExecutionTool": "false",
-            "canHandleVariableCommunicationStepSize": "true",
-            "canNotUseMemoryManagementFunctions": "true",
-            "canGetAndSetFMUstate": "true",
-            "canSerializeFMUstate": "true",
-        },
-    )
+    capabilities = {
+        "modelIdentifier": model,
+        "needsExecutionTool": "false",
+        "canHandleVariableCommunicationStepSize": "true",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+    }
+    if fmu.c_sources:
+        capabilities["canInterpolateInputs"] = "true"
+    simulation = SubElement(root, "CoSimulation", capabilities)
+    if fmu.c_sources:
+        files = SubElement(simulation, "SourceFiles")
+        for name in fmu.c_sources:
+            SubElement(files, "File", {"name": name})
     root.append(_unit_definitions())
     categories = SubElement(root, "LogCategories")
     for name, meaning in LOG_CATEGORIES.items():

@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT / folder) for folder in (".", "fmu_src/native", "benchm
 
 from compile_kernel import compile_for_host  # noqa: E402
 
-from build_fmu import MODELS, build  # noqa: E402
+from build_fmu import MODELS, NATIVE_MODELS, build, build_native  # noqa: E402
 from chaincrane.kernel import load_library  # noqa: E402
 
 STOP_AT = 1.0  # s, when the paper's trolley stops
@@ -41,6 +41,15 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The C kernel, compiled for this machine as the FMU's is."""
     return load_library(str(compile_for_host(tmp_path_factory.mktemp("native"))))
+
+
+@pytest.fixture(scope="session")
+def native_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of crane_nl_native.fmu and crane_lin_native.fmu."""
+    folder = tmp_path_factory.mktemp("native_fmus")
+    for model in NATIVE_MODELS:
+        build_native(model, folder)
+    return folder
 
 
 def paper_motion() -> np.ndarray:

@@ -17,6 +17,7 @@ MAX_ELEMENTS = 10_000
 MATERIAL_POINTS = 10  # of the chain that are outputs: chain.x[i], chain.y[i]
 SCHEMES = ("energy_momentum", "newmark")
 MASS_MATRICES = ("consistent", "averaged")
+CHOICES = {"solver.scheme": SCHEMES, "chain.mass_matrix": MASS_MATRICES}
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,20 @@ _NUMBERS = {  # name -> (allowed, in words; test)
 }
 
 
+def allowed(name: str) -> str:
+    """What a parameter may be, in words; ``name`` is the FMU's."""
+    if name in CHOICES:
+        return "one of " + ", ".join(CHOICES[name])
+    if name == "chain.elements":
+        return f"a whole number from 1 to {MAX_ELEMENTS}"
+    return _POSITIVE if name == "solver.max_step" else _NUMBERS[name][0]
+
+
+def checked() -> tuple[str, ...]:
+    """Names of the parameters in the order in which :func:`check` looks at them."""
+    return (*_NUMBERS, "chain.elements", "solver.max_step", *CHOICES)
+
+
 def check_number(name: str, value: float, allowed: str = _FINITE, *, test: Any = None) -> None:
     """Raise BadValue unless ``value`` is a finite number that passes ``test``."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -113,8 +128,8 @@ def _check_fields(group: Any, prefix: str) -> None:
         if is_dataclass(value):
             _check_fields(value, name + ".")
         else:
-            allowed, test = _NUMBERS[name]
-            check_number(name, value, allowed, test=test)
+            words, test = _NUMBERS[name]
+            check_number(name, value, words, test=test)
 
 
 def _stiffest(crane: Crane, elements: int) -> float:
@@ -132,14 +147,15 @@ def check(crane: Crane, initial: Initial, numerics: Numerics) -> None:
     _check_fields(initial, "initial.")
     elements = numerics.elements
     if not isinstance(elements, int) or not 1 <= elements <= MAX_ELEMENTS:
-        raise BadValue("chain.elements", elements, f"a whole number from 1 to {MAX_ELEMENTS}")
+        raise BadValue("chain.elements", elements, allowed("chain.elements"))
     stiffest = _stiffest(crane, elements)
     if stiffest < crane.chain.EA:
-        allowed = f"at most {stiffest:.3g} N: beyond, round-off outweighs these masses and elements"
-        raise BadValue("chain.EA", crane.chain.EA, allowed)
+        words = f"at most {stiffest:.3g} N: beyond, round-off outweighs these masses and elements"
+        raise BadValue("chain.EA", crane.chain.EA, words)
     check_number("solver.max_step", numerics.max_step, _POSITIVE, test=lambda v: v > 0)
-    if numerics.scheme not in SCHEMES:
-        raise BadValue("solver.scheme", numerics.scheme, "one of " + ", ".join(SCHEMES))
-    if numerics.mass_matrix not in MASS_MATRICES:
-        allowed = "one of " + ", ".join(MASS_MATRICES)
-        raise BadValue("chain.mass_matrix", numerics.mass_matrix, allowed)
+    for name, value in (
+        ("solver.scheme", numerics.scheme),
+        ("chain.mass_matrix", numerics.mass_matrix),
+    ):
+        if value not in CHOICES[name]:
+            raise BadValue(name, value, allowed(name))

@@ -948,13 +948,3 @@ void chain_outputs(const ChainKernel *k, double outputs[CHAIN_OUTPUTS]) {
     *out++ = head->steps;
     *out++ = head->iterations;
 }
-
-#if defined(CHAIN_NO_STARTUP)
-/* A Windows library that is linked without a C runtime's start-up code, which it has no use for. */
-int _fltused = 1;
-int __stdcall DllMainCRTStartup(void *library, unsigned long reason, void *reserved);
-int __stdcall DllMainCRTStartup(void *library, unsigned long reason, void *reserved) {
-    (void)library, (void)reason, (void)reserved;
-    return 1;
-}
-#endif

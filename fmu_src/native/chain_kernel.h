@@ -12,7 +12,9 @@
 
 #include <stddef.h>
 
-#if defined(_WIN32)
+#if defined(CHAIN_STATIC) /* part of a bigger library */
+#define CHAIN_API
+#elif defined(_WIN32)
 #define CHAIN_API __declspec(dllexport)
 #else
 #define CHAIN_API __attribute__((visibility("default")))

@@ -1,0 +1,787 @@
+/* FMI 2.0 co-simulation around a crane in C: what fmi_slave.py is around one in Python.
+
+   The names, words and order of things are those of fmi_slave.py, but for what pythonfmu cannot
+   do: a call that is refused returns fmi2Error at once and changes nothing; a step that cannot be
+   done returns fmi2Discard and leaves the state as it was; bad start values are fmi2Error where
+   initialisation ends, until a reset. Nothing is shared between instances. */
+
+#include "fmi2Functions.h"
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "interface.h"
+#include "model.h"
+#include "saved_state.h"
+#include "text.h"
+
+enum { MESSAGE_SIZE = 512 };
+
+static const double TIME_TOLERANCE = 1e-9;      /* of the time reached */
+static const double CONTINUES = 1e-12;          /* of a velocity: a jump that is none */
+static const double MAX_INTERNAL_STEPS = 1e7;   /* trolley.py */
+
+typedef enum { INSTANTIATED, INITIALISING, STEPPING, TERMINATED } Phase;
+
+static const char *const PHASES[] = {"instantiated", "initialising", "stepping", "terminated"};
+
+/* One saved state in this process: its bytes, as they are serialised. */
+typedef struct {
+    size_t size, room;
+    unsigned char *bytes;
+} State;
+
+typedef struct {
+    fmi2CallbackLogger logger;
+    fmi2ComponentEnvironment environment;
+    char *name;
+    unsigned logged;         /* a bit for each of LOG_CATEGORY */
+    Phase phase;
+    double time;             /* s, reached */
+    Values values;
+    void *memory;            /* the model's, or NULL: there is none */
+    double *before;          /* the model's state before a step in parts */
+    int observed;
+    double seen[OUTPUTS];
+    fmi2Status last_step;
+} Instance;
+
+/* ---- log ---- */
+
+static fmi2Status say(const Instance *c, fmi2Status status, int category, const char *message) {
+    char format[2 * MESSAGE_SIZE], *end = format; /* the logger takes a format: % is %% */
+    if (!c->logger || !(c->logged & 1u << category)) return status;
+    for (const char *at = message; *at && end < format + sizeof format - 2; at++) {
+        if (*at == '%') *end++ = '%';
+        *end++ = *at;
+    }
+    *end = '\0';
+    c->logger(c->environment, c->name, status, LOG_CATEGORY[category], format);
+    return status;
+}
+
+/* The call is refused, and nothing changed. */
+static fmi2Status refuse(const Instance *c, const char *message) {
+    return say(c, fmi2Error, LOG_STATUS_ERROR, message);
+}
+
+static void not_allowed(char message[MESSAGE_SIZE], const char *name, const char *value,
+                        const char *allowed) {
+    snprintf(message, MESSAGE_SIZE, "%s = %s is not allowed: %s", name, value, allowed);
+}
+
+static void bad_number(char message[MESSAGE_SIZE], const char *name, double value,
+                       const char *allowed) {
+    char number[NUMBER_SIZE];
+    not_allowed(message, name, text_repr(number, value), allowed);
+}
+
+static int is_finite(double value) { return value - value == 0.0; }
+
+/* ---- values ---- */
+
+static void take_start_values(Values *values) {
+    memset(values, 0, sizeof *values);
+    for (int i = 0; i < SETTABLE; i++) {
+        values->number[i] = VARIABLE[i].start;
+        if (VARIABLE[i].kind == STRING)
+            strcpy(values->text[VARIABLE[i].text], VARIABLE[i].start_text);
+    }
+}
+
+/* Place of a text among those that are allowed; -1 if it is none of them. */
+static int choice(const Values *values, int variable) {
+    const char *const *choices = VARIABLE[variable].choices;
+    for (int i = 0; choices[i]; i++)
+        if (strcmp(values->text[VARIABLE[variable].text], choices[i]) == 0) return i;
+    return -1;
+}
+
+/* parameters.py: EA, N, whose tension moves by a thousandth of the weight with a position's last
+   digit. */
+static double stiffest(const double *number) {
+    double weight = number[VR_GRAVITY] * (number[VR_CHAIN_MASS] + number[VR_PAYLOAD_MASS]);
+    return 1e-3 * weight / (2e-16 * number[VR_CHAIN_ELEMENTS]);
+}
+
+static int too_stiff(const double *number, char message[MESSAGE_SIZE]) {
+    char most[NUMBER_SIZE], allowed[NUMBER_SIZE + 64];
+    if (!(stiffest(number) < number[VR_CHAIN_EA])) return 0;
+    snprintf(allowed, sizeof allowed,
+             "at most %s N: beyond, round-off outweighs these masses and elements",
+             text_general(most, 3, stiffest(number)));
+    bad_number(message, VARIABLE[VR_CHAIN_EA].name, number[VR_CHAIN_EA], allowed);
+    return 1;
+}
+
+/* parameters.py: the first value that is not allowed, in words; 0 where all are. */
+static int bad_parameter(const Values *values, char message[MESSAGE_SIZE]) {
+    for (int place = 0; place < PARAMETERS; place++) {
+        int i = CHECK_ORDER[place];
+        const Variable *variable = &VARIABLE[i];
+        double value = values->number[i];
+        char text[TEXT_SIZE + 2];
+        if (variable->kind == STRING) {
+            if (choice(values, i) >= 0) continue;
+            snprintf(text, sizeof text, "'%s'", values->text[variable->text]);
+        } else {
+            if (is_finite(value) && value >= variable->minimum && value <= variable->maximum) {
+                if (i == VR_CHAIN_ELEMENTS && too_stiff(values->number, message)) return 1;
+                continue;
+            }
+            if (variable->kind == INTEGER)
+                snprintf(text, sizeof text, "%.0f", value);
+            else
+                text_repr(text, value);
+        }
+        not_allowed(message, variable->name, text, variable->allowed);
+        return 1;
+    }
+    return 0;
+}
+
+static ChainSettings settings(const Values *values) {
+    const double *number = values->number;
+    return (ChainSettings){
+        .length = number[VR_CHAIN_LENGTH],
+        .mass = number[VR_CHAIN_MASS],
+        .EA = number[VR_CHAIN_EA],
+        .payload_mass = number[VR_PAYLOAD_MASS],
+        .gravity = number[VR_GRAVITY],
+        .damping_air = number[VR_DAMPING_AIR],
+        .damping_chain = number[VR_DAMPING_CHAIN],
+        .speed = number[VR_INITIAL_SPEED],
+        .sway_angle = number[VR_INITIAL_SWAY_ANGLE],
+        .max_step = number[VR_SOLVER_MAX_STEP],
+        .elements = (int)number[VR_CHAIN_ELEMENTS],
+        .scheme = choice(values, VR_SOLVER_SCHEME),
+        .mass_matrix = choice(values, VR_CHAIN_MASS_MATRIX),
+    };
+}
+
+/* ---- the model ---- */
+
+static size_t state_count(const Instance *c) {
+    return c->memory ? CRANE.state_count((int)c->values.number[VR_CHAIN_ELEMENTS]) : 0;
+}
+
+static void drop_model(Instance *c) {
+    free(c->memory);
+    free(c->before);
+    c->memory = NULL;
+    c->before = NULL;
+    c->observed = 0;
+}
+
+/* Make the model from the parameters; 0, and no model, with a message, where that cannot be. */
+static int build(Instance *c, char message[MESSAGE_SIZE]) {
+    drop_model(c);
+    if (bad_parameter(&c->values, message)) return 0;
+    ChainSettings chosen = settings(&c->values);
+    c->memory = malloc(CRANE.memory(chosen.elements));
+    c->before = malloc(CRANE.state_count(chosen.elements) * sizeof(double));
+    if (!c->memory || !c->before) {
+        drop_model(c);
+        snprintf(message, MESSAGE_SIZE, "no memory for chain.elements = %d", chosen.elements);
+        return 0;
+    }
+    CRANE.create(c->memory, &chosen);
+    return 1;
+}
+
+/* Read the model's outputs; without a model they are not a number, and no zeros. */
+static fmi2Status observe(Instance *c) {
+    char message[MESSAGE_SIZE];
+    if (c->memory || build(c, message)) {
+        CRANE.outputs(c->memory, c->seen);
+        c->observed = 1;
+        return fmi2OK;
+    }
+    for (int i = 0; i < OUTPUTS; i++) c->seen[i] = NAN;
+    return refuse(c, message);
+}
+
+/* errors.py: why the model's step failed. */
+static void describe_failure(int kind, const ChainFailure *failure, char message[MESSAGE_SIZE]) {
+    char t[NUMBER_SIZE], h[NUMBER_SIZE], defect[NUMBER_SIZE], scale[NUMBER_SIZE];
+    char allowed[NUMBER_SIZE];
+    text_general(t, 6, failure->time);
+    text_general(h, 3, failure->h);
+    text_general(defect, 3, failure->defect);
+    text_general(scale, 3, failure->scale);
+    text_general(allowed, 6, failure->allowed);
+    if (kind == CHAIN_STEP_ENERGY)
+        snprintf(message, MESSAGE_SIZE,
+                 "at t = %s s: a step of %s s is off its energy balance by %s J of %s J;"
+                 " allowed is %s of it",
+                 t, h, defect, scale, allowed);
+    else if (kind == CHAIN_TOTAL_ENERGY)
+        snprintf(message, MESSAGE_SIZE,
+                 "at t = %s s: the energy balance since the start is off by %s J of %s J;"
+                 " allowed is %s of it",
+                 t, defect, scale, allowed);
+    else if (kind == CHAIN_SINGULAR)
+        snprintf(message, MESSAGE_SIZE,
+                 "at t = %s s: the effective stiffness is singular in a step of %s s", t, h);
+    else
+        snprintf(message, MESSAGE_SIZE,
+                 "at t = %s s: the iteration for dynamic equilibrium did not converge in a step"
+                 " of %s s",
+                 t, h);
+}
+
+/* trolley.py, checked_move: inputs and step size that are not allowed, in words; 0: all are. */
+static int bad_step(const Instance *c, double h, char message[MESSAGE_SIZE]) {
+    const double *input = c->values.number, *slope = c->values.slope;
+    for (int i = 0; i < INPUTS; i++) {
+        double end = input[i] + h * slope[i];
+        if (is_finite(input[i]) && (slope[i] == 0.0 || !is_finite(h) || is_finite(end))) continue;
+        double value = is_finite(input[i]) ? end : input[i];
+        bad_number(message, VARIABLE[i].name, value, "a finite number");
+        return 1;
+    }
+    if (!(h > 0.0 && is_finite(h))) {
+        bad_number(message, "step size", h, "a finite number above 0, s");
+        return 1;
+    }
+    if (h > MAX_INTERNAL_STEPS * c->values.number[VR_SOLVER_MAX_STEP]) {
+        bad_number(message, "step size", h, "at most 10000000 internal steps of solver.max_step");
+        return 1;
+    }
+    const double *now = CRANE.state(c->memory);
+    double a = input[VR_TROLLEY_A_CMD] + slope[VR_TROLLEY_V_CMD] + h * slope[VR_TROLLEY_A_CMD];
+    double v = input[VR_TROLLEY_V_CMD] + now[STATE_TROLLEY_GAINED];
+    if (!is_finite(now[STATE_TROLLEY_X] + h * v + 0.5 * h * h * a) || !is_finite(v + h * a)) {
+        bad_number(message, VARIABLE[VR_TROLLEY_V_CMD].name, input[VR_TROLLEY_V_CMD],
+                   "a command that keeps the trolley's motion finite");
+        return 1;
+    }
+    return 0;
+}
+
+/* Advance by dt, t after the step's start. v_cmd's slope acts as acceleration, and is exact;
+   a_cmd and payload.fx act with their means. */
+static int advance(Instance *c, double t, double dt, ChainFailure *failure) {
+    const double *input = c->values.number, *slope = c->values.slope;
+    double *state = CRANE.state(c->memory);
+    double v_cmd = input[VR_TROLLEY_V_CMD] + t * slope[VR_TROLLEY_V_CMD];
+    double a_cmd = input[VR_TROLLEY_A_CMD] + (t + 0.5 * dt) * slope[VR_TROLLEY_A_CMD];
+    double fx = input[VR_PAYLOAD_FX] + (t + 0.5 * dt) * slope[VR_PAYLOAD_FX];
+    double before = state[STATE_TROLLEY_V], gained = state[STATE_TROLLEY_GAINED];
+    double v = v_cmd + gained, away = fabs(v - before);
+    if (away > 0.0 && away <= CONTINUES * fabs(v)) state[STATE_TROLLEY_V] = v; /* round-off */
+    int kind = CRANE.step(c->memory, dt, v_cmd, a_cmd + slope[VR_TROLLEY_V_CMD], fx, failure);
+    if (kind != CHAIN_OK) state[STATE_TROLLEY_V] = before;
+    else if (slope[VR_TROLLEY_V_CMD] != 0.0) state[STATE_TROLLEY_GAINED] = gained + dt * a_cmd;
+    return kind;
+}
+
+/* Advance in as many equal parts as internal steps, for inputs whose slope is taken as a mean. */
+static int advance_in_parts(Instance *c, double h, ChainFailure *failure) {
+    double *state = CRANE.state(c->memory), steps = 0.0, iterations = 0.0;
+    size_t bytes = state_count(c) * sizeof(double);
+    double count = ceil(h / c->values.number[VR_SOLVER_MAX_STEP] * (1.0 - 1e-9));
+    if (count < 1.0) count = 1.0;
+    memcpy(c->before, state, bytes);
+    for (double i = 0.0; i < count; i += 1.0) {
+        int kind = advance(c, i * h / count, h / count, failure);
+        if (kind != CHAIN_OK) {
+            memcpy(state, c->before, bytes);
+            return kind;
+        }
+        steps += state[STATE_STEPS];
+        iterations += state[STATE_ITERATIONS];
+    }
+    state[STATE_STEPS] = steps;
+    state[STATE_ITERATIONS] = iterations;
+    return CHAIN_OK;
+}
+
+/* ---- creation, and the phases of an instance ---- */
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+
+const char *fmi2GetVersion(void) { return fmi2Version; }
+
+static void start_anew(Instance *c) {
+    drop_model(c);
+    take_start_values(&c->values);
+    c->phase = INSTANTIATED;
+    c->time = 0.0;
+    c->last_step = fmi2OK;
+}
+
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
+                              fmi2String fmuResourceLocation,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible,
+                              fmi2Boolean loggingOn) {
+    (void)fmuResourceLocation, (void)visible;
+    Instance *c = calloc(1, sizeof *c);
+    if (!c) return NULL;
+    const char *name = instanceName ? instanceName : "", *wrong = NULL;
+    if (functions) {
+        c->logger = functions->logger;
+        c->environment = functions->componentEnvironment;
+    }
+    c->logged = loggingOn ? ~0u : 1u << LOG_STATUS_DISCARD | 1u << LOG_STATUS_ERROR;
+    c->name = malloc(strlen(name) + 1);
+    if (!c->name) {
+        free(c);
+        return NULL;
+    }
+    strcpy(c->name, name);
+    if (!functions) wrong = "fmi2Instantiate needs callback functions";
+    else if (!*name) wrong = "fmi2Instantiate needs an instance name";
+    else if (fmuType != fmi2CoSimulation) wrong = "this FMU is for co-simulation alone";
+    else if (!fmuGUID || strcmp(fmuGUID, MODEL_GUID) != 0)
+        wrong = "the guid is not this FMU's, " MODEL_GUID ": XML and binary do not belong together";
+    if (wrong) {
+        refuse(c, wrong);
+        fmi2FreeInstance(c);
+        return NULL;
+    }
+    start_anew(c);
+    return c;
+}
+
+void fmi2FreeInstance(fmi2Component component) {
+    Instance *c = component;
+    if (!c) return;
+    drop_model(c);
+    free(c->name);
+    free(c);
+}
+
+fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean loggingOn, size_t nCategories,
+                               const fmi2String categories[]) {
+    Instance *c = component;
+    unsigned named = 0;
+    if (!c || (nCategories && !categories)) return fmi2Error;
+    for (size_t i = 0; i < nCategories; i++) {
+        unsigned bit = 0;
+        for (int known = 0; known < LOG_CATEGORIES; known++)
+            if (categories[i] && strcmp(categories[i], LOG_CATEGORY[known]) == 0)
+                bit = known == LOG_ALL ? ~0u : 1u << known;
+        if (!bit) return refuse(c, "fmi2SetDebugLogging names a category that is not in the XML");
+        named |= bit;
+    }
+    if (!nCategories) named = ~0u;
+    c->logged = loggingOn ? named : c->logged & ~named;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean toleranceDefined,
+                               fmi2Real tolerance, fmi2Real startTime,
+                               fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
+    Instance *c = component;
+    (void)toleranceDefined, (void)tolerance, (void)stopTimeDefined, (void)stopTime;
+    if (!c) return fmi2Error;
+    if (!is_finite(startTime)) {
+        char message[MESSAGE_SIZE];
+        bad_number(message, "start time", startTime, "a finite number, s");
+        return refuse(c, message);
+    }
+    if (c->phase != STEPPING) c->time = startTime;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component component) {
+    Instance *c = component;
+    if (!c) return fmi2Error;
+    if (c->phase != INSTANTIATED)
+        return refuse(c, "initialisation mode can be entered once, before the first step");
+    c->phase = INITIALISING;
+    return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component component) {
+    Instance *c = component;
+    char message[MESSAGE_SIZE];
+    if (!c) return fmi2Error;
+    if (c->phase != INITIALISING)
+        return refuse(c, "initialisation mode was left without being entered");
+    c->phase = STEPPING;
+    if (c->memory || build(c, message)) return fmi2OK;
+    return refuse(c, message);
+}
+
+fmi2Status fmi2Terminate(fmi2Component component) {
+    Instance *c = component;
+    if (!c) return fmi2Error;
+    c->phase = TERMINATED;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Reset(fmi2Component component) {
+    Instance *c = component;
+    if (!c) return fmi2Error;
+    start_anew(c);
+    return fmi2OK;
+}
+
+/* ---- variables ---- */
+
+static fmi2Status no_variable(const Instance *c, Kind kind, fmi2ValueReference reference) {
+    char message[MESSAGE_SIZE];
+    snprintf(message, sizeof message, "no %s variable has the value reference %u", KIND_NAME[kind],
+             reference);
+    return refuse(c, message);
+}
+
+static int is_kind(Kind kind, fmi2ValueReference reference) {
+    return reference < VARIABLES && VARIABLE[reference].kind == kind;
+}
+
+static fmi2Status get_numbers(Instance *c, Kind kind, const fmi2ValueReference vr[], size_t nvr,
+                              fmi2Real real[], fmi2Integer whole[]) {
+    fmi2Status status = fmi2OK;
+    if (!c || (nvr && (!vr || (!real && !whole)))) return fmi2Error;
+    for (size_t i = 0; i < nvr; i++)
+        if (!is_kind(kind, vr[i])) return no_variable(c, kind, vr[i]);
+    for (size_t i = 0; i < nvr; i++) {
+        if (vr[i] >= SETTABLE && !c->observed && status == fmi2OK) status = observe(c);
+        double value = vr[i] < SETTABLE ? c->values.number[vr[i]] : c->seen[vr[i] - SETTABLE];
+        if (real) real[i] = value;
+        else whole[i] = is_finite(value) ? (fmi2Integer)value : 0;
+    }
+    return status;
+}
+
+fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference vr[], size_t nvr,
+                       fmi2Real value[]) {
+    return get_numbers(component, REAL, vr, nvr, value, NULL);
+}
+
+fmi2Status fmi2GetInteger(fmi2Component component, const fmi2ValueReference vr[], size_t nvr,
+                          fmi2Integer value[]) {
+    return get_numbers(component, INTEGER, vr, nvr, NULL, value);
+}
+
+fmi2Status fmi2GetBoolean(fmi2Component component, const fmi2ValueReference vr[], size_t nvr,
+                          fmi2Boolean value[]) {
+    (void)value;
+    if (!component || (nvr && !vr)) return fmi2Error;
+    return nvr ? no_variable(component, BOOLEAN, vr[0]) : fmi2OK;
+}
+
+fmi2Status fmi2GetString(fmi2Component component, const fmi2ValueReference vr[], size_t nvr,
+                         fmi2String value[]) {
+    Instance *c = component;
+    if (!c || (nvr && (!vr || !value))) return fmi2Error;
+    for (size_t i = 0; i < nvr; i++) {
+        if (!is_kind(STRING, vr[i])) return no_variable(c, STRING, vr[i]);
+        value[i] = c->values.text[VARIABLE[vr[i]].text];
+    }
+    return fmi2OK;
+}
+
+/* Refuse what must not be set, or not now; `value` as Python writes it. */
+static fmi2Status check_set(const Instance *c, Kind kind, fmi2ValueReference reference,
+                            const char *value) {
+    char message[MESSAGE_SIZE];
+    if (!is_kind(kind, reference)) return no_variable(c, kind, reference);
+    const char *name = VARIABLE[reference].name;
+    if (reference >= SETTABLE)
+        snprintf(message, sizeof message, "%s is an output: it cannot be set", name);
+    else if (reference >= INPUTS && (c->phase == STEPPING || c->phase == TERMINATED))
+        snprintf(message, sizeof message,
+                 "%s is a parameter: it is fixed when initialisation ends, and cannot be set to"
+                 " %s now",
+                 name, value);
+    else
+        return fmi2OK;
+    return refuse(c, message);
+}
+
+static void set_number(Instance *c, fmi2ValueReference reference, double value) {
+    c->values.number[reference] = value;
+    if (reference >= INPUTS) drop_model(c);
+}
+
+fmi2Status fmi2SetReal(fmi2Component component, const fmi2ValueReference vr[], size_t nvr,
+                       const fmi2Real value[]) {
+    Instance *c = component;
+    if (!c || (nvr && (!vr || !value))) return fmi2Error;
+    for (size_t i = 0; i < nvr; i++) {
+        if (vr[i] < INPUTS) continue; /* the way of every step */
+        char text[NUMBER_SIZE];
+        fmi2Status status = check_set(c, REAL, vr[i], text_repr(text, value[i]));
+        if (status != fmi2OK) return status;
+    }
+    for (size_t i = 0; i < nvr; i++) set_number(c, vr[i], value[i]);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetInteger(fmi2Component component, const fmi2ValueReference vr[], size_t nvr,
+                          const fmi2Integer value[]) {
+    Instance *c = component;
+    if (!c || (nvr && (!vr || !value))) return fmi2Error;
+    for (size_t i = 0; i < nvr; i++) {
+        char text[NUMBER_SIZE];
+        snprintf(text, sizeof text, "%d", value[i]);
+        fmi2Status status = check_set(c, INTEGER, vr[i], text);
+        if (status != fmi2OK) return status;
+    }
+    for (size_t i = 0; i < nvr; i++) set_number(c, vr[i], value[i]);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component component, const fmi2ValueReference vr[], size_t nvr,
+                          const fmi2Boolean value[]) {
+    (void)value;
+    if (!component || (nvr && !vr)) return fmi2Error;
+    return nvr ? no_variable(component, BOOLEAN, vr[0]) : fmi2OK;
+}
+
+fmi2Status fmi2SetString(fmi2Component component, const fmi2ValueReference vr[], size_t nvr,
+                         const fmi2String value[]) {
+    Instance *c = component;
+    if (!c || (nvr && (!vr || !value))) return fmi2Error;
+    for (size_t i = 0; i < nvr; i++) {
+        char text[TEXT_SIZE + 2], message[MESSAGE_SIZE];
+        const char *given = value[i] ? value[i] : "";
+        snprintf(text, sizeof text, "'%s'", given);
+        fmi2Status status = check_set(c, STRING, vr[i], text);
+        if (status != fmi2OK) return status;
+        if (strlen(given) >= TEXT_SIZE) {
+            not_allowed(message, VARIABLE[vr[i]].name, text, VARIABLE[vr[i]].allowed);
+            return refuse(c, message);
+        }
+    }
+    for (size_t i = 0; i < nvr; i++) {
+        strcpy(c->values.text[VARIABLE[vr[i]].text], value[i] ? value[i] : "");
+        drop_model(c);
+    }
+    return fmi2OK;
+}
+
+/* First derivatives of inputs: like values they hold until they are set anew. */
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component component, const fmi2ValueReference vr[],
+                                       size_t nvr, const fmi2Integer order[],
+                                       const fmi2Real value[]) {
+    Instance *c = component;
+    if (!c || (nvr && (!vr || !order || !value))) return fmi2Error;
+    for (size_t i = 0; i < nvr; i++) {
+        char message[MESSAGE_SIZE];
+        if (vr[i] >= INPUTS)
+            snprintf(message, sizeof message, "no input has the value reference %u", vr[i]);
+        else if (order[i] != 1)
+            snprintf(message, sizeof message, "%s: a derivative of order %d is not taken, only 1",
+                     VARIABLE[vr[i]].name, order[i]);
+        else if (!is_finite(value[i]))
+            snprintf(message, sizeof message, "%s: a derivative must be a finite number",
+                     VARIABLE[vr[i]].name);
+        else
+            continue;
+        return refuse(c, message);
+    }
+    for (size_t i = 0; i < nvr; i++) c->values.slope[vr[i]] = value[i];
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2ValueReference vr[],
+                                        size_t nvr, const fmi2Integer order[], fmi2Real value[]) {
+    (void)vr, (void)order, (void)value;
+    if (!component) return fmi2Error;
+    return nvr ? refuse(component, "outputs have no derivatives: maxOutputDerivativeOrder is 0")
+               : fmi2OK;
+}
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component component,
+                                        const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
+                                        const fmi2ValueReference vKnown_ref[], size_t nKnown,
+                                        const fmi2Real dvKnown[], fmi2Real dvUnknown[]) {
+    (void)vUnknown_ref, (void)nUnknown, (void)vKnown_ref, (void)nKnown;
+    (void)dvKnown, (void)dvUnknown;
+    if (!component) return fmi2Error;
+    return refuse(component, "there are no directional derivatives");
+}
+
+/* ---- steps ---- */
+
+fmi2Status fmi2DoStep(fmi2Component component, fmi2Real currentCommunicationPoint,
+                      fmi2Real communicationStepSize,
+                      fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
+    Instance *c = component;
+    double at = currentCommunicationPoint, h = communicationStepSize;
+    char message[MESSAGE_SIZE];
+    (void)noSetFMUStatePriorToCurrentPoint;
+    if (!c) return fmi2Error;
+    if (c->phase != STEPPING) {
+        snprintf(message, sizeof message, "a step needs an initialised instance; this one is %s",
+                 PHASES[c->phase]);
+        return c->last_step = refuse(c, message);
+    }
+    if (!c->memory && !build(c, message)) return c->last_step = refuse(c, message);
+    if (!(fabs(at - c->time) <= TIME_TOLERANCE * fmax(1.0, fabs(c->time)))) {
+        char reached[NUMBER_SIZE], allowed[NUMBER_SIZE + 32];
+        snprintf(allowed, sizeof allowed, "the time reached, %s s", text_repr(reached, c->time));
+        bad_number(message, "current communication point", at, allowed);
+        return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
+    }
+    if (bad_step(c, h, message))
+        return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
+    const double *slope = c->values.slope;
+    int in_parts = slope[VR_TROLLEY_A_CMD] != 0.0 || slope[VR_PAYLOAD_FX] != 0.0;
+    ChainFailure failure = {0.0, h, 0.0, 0.0, 0.0};
+    int kind = in_parts ? advance_in_parts(c, h, &failure) : advance(c, 0.0, h, &failure);
+    if (kind != CHAIN_OK) {
+        describe_failure(kind, &failure, message);
+        return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
+    }
+    c->time = at + h;
+    c->observed = 0;
+    return c->last_step = fmi2OK;
+}
+
+fmi2Status fmi2CancelStep(fmi2Component component) {
+    if (!component) return fmi2Error;
+    return refuse(component, "there is no step to cancel: fmi2DoStep ends before it returns");
+}
+
+fmi2Status fmi2GetStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Status *value) {
+    Instance *c = component;
+    if (!c || !value) return fmi2Error;
+    if (kind != fmi2DoStepStatus) return fmi2Discard;
+    *value = c->last_step;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value) {
+    Instance *c = component;
+    if (!c || !value) return fmi2Error;
+    if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+    *value = c->time;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component component, const fmi2StatusKind kind,
+                                fmi2Integer *value) {
+    (void)kind;
+    return component && value ? fmi2Discard : fmi2Error; /* the standard has none */
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component component, const fmi2StatusKind kind,
+                                fmi2Boolean *value) {
+    if (!component || !value) return fmi2Error;
+    if (kind != fmi2Terminated) return fmi2Discard;
+    *value = fmi2False; /* a discarded step is no wish to end */
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component component, const fmi2StatusKind kind,
+                               fmi2String *value) {
+    (void)kind;
+    return component && value ? fmi2Discard : fmi2Error; /* fmi2PendingStatus: none is pending */
+}
+
+/* ---- state ---- */
+
+/* Room for so many bytes in *state, made if there is none; 0 without memory. */
+static int make_room(fmi2FMUstate *state, size_t size) {
+    State *s = *state;
+    if (!s) s = calloc(1, sizeof *s);
+    if (!s) return 0;
+    if (s->room < size) {
+        unsigned char *bytes = realloc(s->bytes, size);
+        if (!bytes) {
+            if (!*state) free(s);
+            return 0;
+        }
+        s->bytes = bytes;
+        s->room = size;
+    }
+    s->size = size;
+    *state = s;
+    return 1;
+}
+
+fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *FMUstate) {
+    Instance *c = component;
+    if (!c || !FMUstate) return fmi2Error;
+    size_t count = state_count(c);
+    if (!make_room(FMUstate, saved_size(count))) return refuse(c, "no memory for a saved state");
+    Snapshot snapshot = {(int)c->phase, c->time, c->values};
+    save_state(&snapshot, c->memory ? CRANE.state(c->memory) : NULL, count,
+               ((State *)*FMUstate)->bytes);
+    return fmi2OK;
+}
+
+/* Restore a state, all or nothing. */
+fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
+    Instance *c = component;
+    const State *state = FMUstate;
+    char message[MESSAGE_SIZE], foreign[256];
+    Snapshot snapshot;
+    const unsigned char *model;
+    size_t count;
+    if (!c || !state) return fmi2Error;
+    const char *wrong = load_state(state->bytes, state->size, &snapshot, &model, &count, foreign);
+    if (!wrong && (unsigned)snapshot.phase > TERMINATED)
+        wrong = "the saved state is damaged, or not a chaincrane state";
+    if (wrong) return refuse(c, wrong);
+    size_t parameters = (SETTABLE - INPUTS) * sizeof(double);
+    int same = c->memory &&
+               memcmp(c->values.number + INPUTS, snapshot.values.number + INPUTS, parameters) == 0 &&
+               memcmp(c->values.text, snapshot.values.text, sizeof c->values.text) == 0;
+    if (count && (!same || count != state_count(c))) {
+        Instance made = {.values = snapshot.values};
+        if (!build(&made, message)) return refuse(c, message);
+        if (count != state_count(&made)) {
+            drop_model(&made);
+            return refuse(c, "the saved state is of a crane with another number of elements");
+        }
+        drop_model(c);
+        c->memory = made.memory;
+        c->before = made.before;
+    }
+    c->values = snapshot.values;
+    if (!count) drop_model(c);
+    else read_doubles(model, CRANE.state(c->memory), count);
+    c->phase = (Phase)snapshot.phase;
+    c->time = snapshot.time;
+    c->observed = 0;
+    c->last_step = fmi2OK;
+    return fmi2OK;
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *FMUstate) {
+    if (!component || !FMUstate) return fmi2Error;
+    State *state = *FMUstate;
+    if (state) free(state->bytes);
+    free(state);
+    *FMUstate = NULL;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate FMUstate,
+                                      size_t *size) {
+    const State *state = FMUstate;
+    if (!component || !state || !size) return fmi2Error;
+    *size = state->size;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate FMUstate,
+                                 fmi2Byte serializedState[], size_t size) {
+    const State *state = FMUstate;
+    if (!component || !state || !serializedState) return fmi2Error;
+    if (size < state->size) return refuse(component, "too little room for the saved state");
+    memcpy(serializedState, state->bytes, state->size);
+    return fmi2OK;
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte serializedState[],
+                                   size_t size, fmi2FMUstate *FMUstate) {
+    char foreign[256];
+    Snapshot snapshot;
+    const unsigned char *model, *bytes = (const unsigned char *)serializedState;
+    size_t count;
+    if (!component || !serializedState || !FMUstate) return fmi2Error;
+    const char *wrong = load_state(bytes, size, &snapshot, &model, &count, foreign);
+    if (wrong) return refuse(component, wrong);
+    if (!make_room(FMUstate, size)) return refuse(component, "no memory for a saved state");
+    memcpy(((State *)*FMUstate)->bytes, bytes, size);
+    return fmi2OK;
+}
