@@ -203,11 +203,16 @@ def test_it_refuses_in_the_same_words(fmus: Path, native_fmus: Path) -> None:
 
 @both
 def test_input_derivatives_by_fmpy(native_fmus: Path, model: str) -> None:
-    """FMPy's linear input with set_input_derivatives: a ramp of v_cmd, exact inside 50 ms steps."""
-    names = ["time", "trolley.v_cmd", "trolley.a_cmd", "payload.fx"]
-    dtype = [(name, float) for name in names]
-    ramp = np.array([(0, 0, 0, 0), (1, 0.8, 0, 0), (2, 0.0, 0, 0)], dtype=dtype)
-    as_a = [(0, 0, 0.8, 0), (1, 0, 0.8, 0), (1, 0, -0.8, 0), (2, 0, -0.8, 0)]
+    """FMPy's linear input with set_input_derivatives: a ramp of v_cmd, exact inside 50 ms steps.
+
+    One input alone: FMPy 0.3.32 fails to set the derivatives of several.
+    """
+
+    def table(name: str, rows: list[tuple[float, float]]) -> np.ndarray:
+        return np.array(rows, dtype=[("time", float), (name, float)])
+
+    ramp = table("trolley.v_cmd", [(0, 0), (1, 0.8), (2, 0.0)])
+    as_a = table("trolley.a_cmd", [(0, 0.8), (1, 0.8), (1, -0.8), (2, -0.8)])
     common = {
         "filename": str(native_fmus / f"{model}.fmu"),
         "start_values": {"initial.speed": 0.0},
@@ -215,7 +220,7 @@ def test_input_derivatives_by_fmpy(native_fmus: Path, model: str) -> None:
         "output_interval": 0.05,
     }
     ours = simulate_fmu(**common, input=ramp, set_input_derivatives=True)
-    truth = simulate_fmu(**common, input=np.array(as_a, dtype=dtype))
+    truth = simulate_fmu(**common, input=as_a)
     for name in ("payload.x", "chain.mid_x_rel", "trolley.x"):
         assert np.abs(ours[name] - truth[name]).max() < 1e-9, name
 
@@ -426,12 +431,9 @@ def test_the_xml_says_what_the_native_fmu_can(native_fmus: Path, fmus: Path, mod
     assert not [name for name in files if name.endswith(".py") or "resources" in name]
 
 
-@both
-def test_the_same_sources_give_the_same_bytes(
-    native_fmus: Path, tmp_path: Path, model: str
-) -> None:
-    again = build_native(model, tmp_path)
-    assert again.read_bytes() == (native_fmus / f"{model}.fmu").read_bytes()
+def test_the_same_sources_give_the_same_bytes(native_fmus: Path, tmp_path: Path) -> None:
+    again = build_native("crane_lin_native", tmp_path)
+    assert again.read_bytes() == (native_fmus / again.name).read_bytes()
 
 
 @both
