@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-# what is not in a package: build_fmu.py, compile_kernel.py, robustness.py and speed.py
+# what is not in a package: build_fmu.py, compile_kernel.py, benchmarks
 sys.path[:0] = [str(ROOT / folder) for folder in (".", "fmu_src/native", "benchmarks")]
 
 from compile_kernel import compile_for_host  # noqa: E402

@@ -5,6 +5,8 @@
    run FILE   the paper's scenario with each FMU; payload.x_rel, payload.x, chain.mid_x_rel as CSV
    threads    8 instances of each FMU in 8 threads, against the same runs one after the other
    cycles N   load, instantiate, step, free, unload, N times
+   save FILE  run for 1.3 s, save the states as bytes, run on and save what is seen
+   load FILE  restore those states, on another platform, say, and see the same
    calls      state, log, status, input derivatives, errors, wrong arguments
 
    interface.h is the one in either FMU's sources folder: the two have the same interface. */
@@ -232,6 +234,72 @@ static void cycles(char **arguments, int count) {
             fmu.FreeInstance(c);
             unload(&fmu);
         }
+}
+
+enum { SAVED_AT = 260, RUN_TO = 360, ROOM = 1 << 16 };
+
+static FILE *open_part(const char *path, int model, const char *part, const char *mode) {
+    char name[1000];
+    snprintf(name, sizeof name, "%s.%d.%s", path, model, part);
+    FILE *file = fopen(name, mode);
+    CHECK(file);
+    return file;
+}
+
+static size_t serialise(const Fmu *fmu, fmi2Component c, fmi2Byte *bytes) {
+    fmi2FMUstate state = NULL;
+    size_t size;
+    CHECK(fmu->GetFMUstate(c, &state) == fmi2OK);
+    CHECK(fmu->SerializedFMUstateSize(c, state, &size) == fmi2OK && size <= ROOM);
+    CHECK(fmu->SerializeFMUstate(c, state, bytes, size) == fmi2OK);
+    CHECK(fmu->FreeFMUstate(c, &state) == fmi2OK);
+    return size;
+}
+
+static void save(const Fmu *fmus, const char *path) {
+    static double rows[STEPS][SEEN];
+    static fmi2Byte bytes[ROOM];
+    for (int m = 0; m < MODELS; m++) {
+        Log log = {0, ""};
+        fmi2Component c = instantiate(&fmus[m], &log);
+        initialise(&fmus[m], c, 0.42);
+        paper_steps(&fmus[m], c, 0, SAVED_AT, rows);
+        size_t size = serialise(&fmus[m], c, bytes);
+        FILE *file = open_part(path, m, "state", "wb");
+        CHECK(fwrite(bytes, 1, size, file) == size && fclose(file) == 0);
+        paper_steps(&fmus[m], c, SAVED_AT, RUN_TO, rows);
+        file = open_part(path, m, "rows", "w");
+        for (int i = SAVED_AT; i < RUN_TO; i++)
+            for (int k = 0; k < SEEN; k++) fprintf(file, "%.17g\n", rows[i][k]);
+        CHECK(fclose(file) == 0);
+        fmus[m].FreeInstance(c);
+    }
+}
+
+static void resume(const Fmu *fmus, const char *path) {
+    static double rows[STEPS][SEEN];
+    static fmi2Byte bytes[ROOM], again[ROOM];
+    for (int m = 0; m < MODELS; m++) {
+        Log log = {0, ""};
+        fmi2Component c = instantiate(&fmus[m], &log);
+        fmi2FMUstate state = NULL;
+        FILE *file = open_part(path, m, "state", "rb");
+        size_t size = fread(bytes, 1, ROOM, file);
+        CHECK(fclose(file) == 0);
+        CHECK(fmus[m].DeSerializeFMUstate(c, bytes, size, &state) == fmi2OK);
+        CHECK(fmus[m].SetFMUstate(c, state) == fmi2OK);
+        CHECK(fmus[m].FreeFMUstate(c, &state) == fmi2OK);
+        CHECK(serialise(&fmus[m], c, again) == size && memcmp(bytes, again, size) == 0);
+        paper_steps(&fmus[m], c, SAVED_AT, RUN_TO, rows);
+        file = open_part(path, m, "rows", "r");
+        for (int i = SAVED_AT; i < RUN_TO; i++)
+            for (int k = 0; k < SEEN; k++) {
+                double there;
+                CHECK(fscanf(file, "%lf", &there) == 1 && fabs(there - rows[i][k]) < 1e-9);
+            }
+        CHECK(fclose(file) == 0);
+        fmus[m].FreeInstance(c);
+    }
 }
 
 /* Save, run on, restore, run on: the same bits; through bytes and in another instance, too. */
@@ -472,6 +540,8 @@ int main(int count, char **arguments) {
     } else {
         Fmu fmus[MODELS] = {load(arguments[2], arguments[3]), load(arguments[4], arguments[5])};
         if (strcmp(task, "run") == 0) run(fmus, more);
+        if (strcmp(task, "save") == 0) save(fmus, more);
+        if (strcmp(task, "load") == 0) resume(fmus, more);
         if (strcmp(task, "threads") == 0) threads(fmus);
         if (strcmp(task, "calls") == 0) {
             for (int m = 0; m < MODELS; m++) {

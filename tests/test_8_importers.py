@@ -7,6 +7,7 @@ import importlib.util
 import json
 import logging
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -20,8 +21,18 @@ from chaincrane.interface import OUTPUTS
 from chaincrane_driver.simulate import Job, read_table, simulate_all
 
 STEP = 0.005
+EVERY_MODEL = ["crane_nl", "crane_lin", "crane_nl_native", "crane_lin_native"]
 REAL_OUTPUTS = [variable.name for variable in OUTPUTS if variable.kind == "Real"]
 COFMUPY = "CHAINCRANE_COFMUPY"  # a Python with cofmupy, whose pins do not go with ours
+
+
+@pytest.fixture(scope="module")
+def every_fmu(fmus: Path, native_fmus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One folder with all cranes: with Python inside, and native."""
+    folder = tmp_path_factory.mktemp("every_fmu")
+    for model in EVERY_MODEL:
+        shutil.copy((native_fmus if "native" in model else fmus) / f"{model}.fmu", folder)
+    return folder
 
 
 def python_for(script: str) -> str:
@@ -43,10 +54,10 @@ def python_for(script: str) -> str:
 
 
 @pytest.mark.parametrize("payload", PAYLOADS.values(), ids=PAYLOADS.keys())
-@pytest.mark.parametrize("model", ["crane_nl", "crane_lin"])
+@pytest.mark.parametrize("model", EVERY_MODEL)
 @pytest.mark.parametrize("script", ["libcosim", "ecos", "cofmu", "container"])
 def test_importer_agrees_with_fmpy(
-    fmus: Path, tmp_path: Path, script: str, model: str, payload: float
+    every_fmu: Path, tmp_path: Path, script: str, model: str, payload: float
 ) -> None:
     """Every Real output at every communication point, to 1e-9 m (forces, a stiff chain: 1e-5 N).
 
@@ -54,7 +65,7 @@ def test_importer_agrees_with_fmpy(
     """
     start = {"payload.mass": payload, "chain.elements": 8, "solver.scheme": "energy_momentum"}
     case = Case(
-        fmu=str(fmus / f"{model}.fmu"),
+        fmu=str(every_fmu / f"{model}.fmu"),
         out=str(tmp_path / "out.csv"),
         step=STEP,
         stop=4.0,
@@ -81,8 +92,8 @@ def test_importer_agrees_with_fmpy(
         assert np.abs(result[name] - truth[name]).max() < allowed, name
 
 
-@pytest.mark.parametrize("model", ["crane_nl", "crane_lin"])
-def test_the_toolboxs_checker_has_no_complaint(fmus: Path, model: str) -> None:
+@pytest.mark.parametrize("model", EVERY_MODEL)
+def test_the_toolboxs_checker_has_no_complaint(every_fmu: Path, model: str) -> None:
     if importlib.util.find_spec("fmu_manipulation_toolbox") is None:
         pytest.skip("fmu-manipulation-toolbox is not installed: pip install -e '.[importers]'")
     from fmu_manipulation_toolbox.checker import get_checkers
@@ -97,7 +108,7 @@ def test_the_toolboxs_checker_has_no_complaint(fmus: Path, model: str) -> None:
     logger, handler = logging.getLogger("fmu_manipulation_toolbox"), Keep(logging.WARNING)
     logger.addHandler(handler)
     try:
-        with FMU(str(fmus / f"{model}.fmu")) as opened:
+        with FMU(str(every_fmu / f"{model}.fmu")) as opened:
             for checker in get_checkers():
                 opened.apply_operation(checker())
     finally:
