@@ -7,7 +7,7 @@ gave at the step's start. `sequential`: crane, observer, controller, each with w
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from ctypes import byref
 from dataclasses import dataclass, field
@@ -130,31 +130,31 @@ class Loop:
             (parts[source], output, parts[sink], taken)
             for source, output, sink, taken in self.connections
         ]
-        for part in parts.values():
-            part.begin()
+        for name, part in parts.items():
+            read = [output for source, output, _, _ in self.connections if source == name]
+            part.begin(dict.fromkeys([*read, *self.watched[name]]))
         for source, output, sink, taken in wires:
-            sink.set(taken, source.get(output))
+            sink.set(taken, source.seen[output])
         for part in parts.values():
             part.end_initialisation()
         result, changes = self.table(), self._changes()
         every = max(1, self.steps // REPORTS)
         for number in range(self.steps + 1):
             time = number * self.step
-            values = [parts[name].get(variable) for name, variable in self.columns]
+            values = [parts[name].seen[variable] for name, variable in self.columns]
             result[number] = (time, *values)
             if number == self.steps:
                 break
             for name, variable, value in changes.get(number, ()):
                 parts[name].set(variable, value)
             if self.order == "parallel":
-                moved = [(sink, taken, source.get(output)) for source, output, sink, taken in wires]
-                for sink, taken, value in moved:
-                    sink.set(taken, value)
+                for source, output, sink, taken in wires:
+                    sink.set(taken, source.seen[output])
             for part in parts.values():
                 if self.order == "sequential":
                     for source, output, sink, taken in wires:
                         if sink is part:
-                            sink.set(taken, source.get(output))
+                            sink.set(taken, source.seen[output])
                 part.step(time, self.step)
             if number % every == 0:
                 progress(time)
@@ -196,6 +196,7 @@ class Part:
 
     def __init__(self, name: str, fmu: Path, start: Mapping[str, Any], log: Log) -> None:
         self.name, self.fmu, self.start, self._log = name, fmu, start, log
+        self.seen: dict[str, float] = {}  # outputs, when they were last read
         self._description = describe(fmu)
         self._variables = {v.name: v for v in self._description.modelVariables}
         for variable in start:
@@ -216,16 +217,20 @@ class Part:
     def __exit__(self, *_: object) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def begin(self) -> None:
-        """Set the start values; initialisation begins."""
+    def begin(self, outputs: Iterable[str]) -> None:
+        """Set the start values; initialisation begins. ``outputs``: what is read from here on."""
+        self._outputs = list(outputs)
+        self._references = [self._variables[name].valueReference for name in self._outputs]
         self._slave.setupExperiment(startTime=0.0)
         for name, value in self.start.items():
             self.set(name, value)
         self._slave.enterInitializationMode()
+        self._look()
 
     def end_initialisation(self) -> None:
         """From here on the part can step."""
         self._slave.exitInitializationMode()
+        self._look()
 
     def set(self, name: str, value: Any) -> None:
         """Set one variable."""
@@ -234,9 +239,9 @@ class Part:
             value = float(value)
         getattr(self._slave, f"set{variable.type}")([variable.valueReference], [value])
 
-    def get(self, name: str) -> float:
-        """Value of one Real variable."""
-        return float(self._slave.getReal([self._variables[name].valueReference])[0])
+    def _look(self) -> None:
+        """Read the outputs, all in one call."""
+        self.seen = dict(zip(self._outputs, self._slave.getReal(self._references), strict=True))
 
     def step(self, time: float, h: float) -> None:
         """One communication step. Raises UserError with what the FMU says."""
@@ -245,3 +250,4 @@ class Part:
         except FMICallException as error:
             part, reason = self._log.first or (self.name, str(error))
             raise UserError(f"{part}: stopped before {time + h:g} s: {reason}") from error
+        self._look()

@@ -1,0 +1,429 @@
+"""Rung 10, the observer. References: matrix exponentials, the linear crane, samples of noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+from conftest import PAYLOADS, in_fresh_process
+from fmpy.validation import validate_fmu
+
+from chaincrane import kalman, observer_interface
+from chaincrane.chain import discretise
+from chaincrane.errors import BadValue
+from chaincrane.linear import LinearCrane, TautString, state_space
+from chaincrane.observer import AssumedNoise, CraneObserver, ObserverSettings
+from chaincrane.parameters import Crane, Damping, Initial, Numerics, Payload
+from chaincrane.sensor import Sensor, normal
+from chaincrane_driver.loop import CRANE, OBSERVER, Loop, column
+from chaincrane_driver.simulate import simulate_all
+
+LIGHT = Crane(payload=Payload(PAYLOADS["light"]))
+ESTIMATED = ("payload.x_rel", "payload.vx_rel", "chain.mid_x_rel", "chain.top_angle")
+
+
+def at_rest(**changes: Any) -> ObserverSettings:
+    return ObserverSettings(**({"crane": LIGHT, "speed": 0.0} | changes))
+
+
+def follow(watch: CraneObserver, crane: LinearCrane, h: float, *commands: float) -> None:
+    """One step of both, the observer seeing the crane as it was at the step's start."""
+    seen = crane.outputs()
+    crane.step(h, *commands)
+    watch.step(h, *commands[:2], seen["payload.x_rel"], seen["chain.top_angle"])
+
+
+# --- equations ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("air", [0.0, 0.7])
+def test_the_filters_matrices_are_the_state_spaces_exponential(air: float) -> None:
+    crane, n, t = replace(LIGHT, damping=Damping(air)), 3, 0.037
+    string = TautString(discretise(crane, n))
+    system = state_space(crane, n)
+    modal = np.kron(np.eye(2), string.modes.shapes)
+    scale = np.diag(np.append(1.0 / string.modes.omega, np.ones(n)))
+    to_nodes = modal @ scale  # [q; qdot] of z
+    both = np.zeros((2 * n + 2, 2 * n + 2))
+    both[: 2 * n, : 2 * n], both[: 2 * n, 2 * n :] = system.A, system.B
+    grown = scipy.linalg.expm(both * t)
+    phi = to_nodes @ kalman.transition(string, t) @ np.linalg.inv(to_nodes)
+    np.testing.assert_allclose(phi, grown[: 2 * n, : 2 * n], atol=1e-12)
+    gamma = to_nodes @ kalman.held_input(string, t)[:, ::-1]  # its inputs: trolley, then payload
+    np.testing.assert_allclose(gamma, grown[: 2 * n, 2 * n :], atol=1e-12)
+
+
+@pytest.mark.parametrize("sensor", ["camera", "rope"])
+def test_the_gain_solves_the_riccati_equation(sensor: str) -> None:
+    watch = CraneObserver(at_rest(sensor=sensor, elements=5))
+    found = watch.filter_for(0.01)
+    phi = kalman.transition(watch.string, 0.01)
+    Q = kalman.held_noise(watch.string, watch.noise, 0.01, 0.01)
+    again = phi @ found.posterior @ phi.T + Q
+    np.testing.assert_allclose(again, found.prior, atol=1e-10 * np.abs(found.prior).max())
+    closed = phi @ (np.eye(10) - np.outer(found.gain, watch.c))
+    assert np.abs(np.linalg.eigvals(closed)).max() < 1.0
+
+
+def test_an_unseen_motion_has_no_margin() -> None:
+    """Half a period apart, samples see a swing's position alone."""
+    string = TautString(discretise(LIGHT, 1))
+    half = float(np.pi / string.modes.omega[0])
+    c = np.array([1.0, 0.0])
+    assert kalman.observability(kalman.transition(string, half), c) < 1e-12
+    assert kalman.observability(kalman.transition(string, 0.1 * half), c) > 0.1
+
+
+def test_noise_is_normal_and_depends_on_seed_and_number_alone() -> None:
+    draws = np.array([normal(3, number) for number in range(20000)])
+    assert abs(draws.mean()) < 4.0 / np.sqrt(len(draws))
+    assert abs(draws.var() - 1.0) < 4.0 * np.sqrt(2.0 / len(draws))
+    assert abs(np.mean(draws[1:] * draws[:-1])) < 4.0 / np.sqrt(len(draws))
+    assert normal(3, 7) == draws[7] != normal(4, 7)
+
+
+# --- prediction --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("h", [0.001, 0.005, 0.013, 0.05])
+def test_between_samples_it_is_the_linear_crane(h: float) -> None:
+    """Jumps, acceleration and air included: nothing but round-off after 2 s without a sample."""
+    crane = replace(LIGHT, damping=Damping(0.3))
+    truth = LinearCrane(crane, Initial(0.4, 0.0), Numerics(elements=3))
+    watch = CraneObserver(
+        ObserverSettings(crane, 0.4, elements=3, rope=Sensor(sample_time=0.03, delay=99.0))
+    )
+    for number in range(round(2.0 / h)):
+        follow(watch, truth, h, 0.4 if number * h < 0.7 else -0.1, 0.2)
+    seen, expected = watch.outputs(), truth.outputs()
+    for name in set(seen) & set(expected):
+        assert abs(seen[name] - expected[name]) < 1e-12, name
+    assert seen["sensor.samples"] == 0
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.035])
+def test_the_communication_step_does_not_matter(delay: float) -> None:
+    """Samples every 20 ms, communication every 10 or 4 ms: the same estimate, to round-off."""
+    ends = []
+    for h in (0.01, 0.004):
+        truth = LinearCrane(LIGHT, Initial(0.0, 0.1), Numerics(elements=2))
+        watch = CraneObserver(at_rest(rope=Sensor(sample_time=0.02, noise=0.01, delay=delay)))
+        for number in range(round(2.0 / h)):
+            follow(watch, truth, h, 0.0, 0.5 if number * h < 1.0 - 1e-9 else -0.3)
+        assert watch.outputs()["sensor.samples"] == 100 - round(delay > 0.0)
+        ends.append([watch.outputs()[name] for name in ESTIMATED])
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-12)
+
+
+def test_inputs_of_the_steps_end_are_taken_so() -> None:
+    """A master that steps the crane first: no error is left, and the sample is not a step old."""
+    truth = LinearCrane(LIGHT, Initial(0.0, 0.1), Numerics(elements=2))
+    watch = CraneObserver(at_rest(inputs_at="end", noise=AssumedNoise(rope=1e-3)))
+    for number in range(6000):
+        a = 0.5 if number < 100 else 0.0
+        truth.step(0.01, 0.0, a)
+        watch.step(0.01, 0.0, a, 0.0, truth.outputs()["chain.top_angle"])
+    for name in ("payload.x_rel", "chain.mid_x_rel", "chain.top_angle"):
+        assert abs(watch.outputs()[name] - truth.outputs()[name]) < 1e-9, name
+
+
+def test_a_step_longer_than_the_sample_time_has_its_own_gain() -> None:
+    truth = LinearCrane(LIGHT, Initial(0.0, 0.1), Numerics(elements=2))
+    watch = CraneObserver(at_rest(noise=AssumedNoise(rope=1e-3)))
+    for _ in range(1000):
+        follow(watch, truth, 0.05, 0.0, 0.0)
+    assert watch.estimate.interval == 0.05
+    assert watch.outputs()["sensor.samples"] == 1000
+    assert abs(watch.outputs()["payload.x_rel"] - truth.outputs()["payload.x_rel"]) < 1e-9
+
+
+def test_a_late_sample_converges_too() -> None:
+    truth = LinearCrane(LIGHT, Initial(0.0, 0.1), Numerics(elements=2))
+    watch = CraneObserver(at_rest(rope=Sensor(delay=0.123), noise=AssumedNoise(rope=1e-3)))
+    for number in range(6000):
+        follow(watch, truth, 0.01, 0.0, 0.5 if number < 100 else 0.0)
+    for name in ("payload.x_rel", "chain.mid_x_rel", "chain.top_angle"):
+        assert abs(watch.outputs()[name] - truth.outputs()[name]) < 1e-9, name
+
+
+def test_bias_is_what_it_says() -> None:
+    """A camera that is 3 mm off, and that alone is believed, ends 3 mm off."""
+    sure = AssumedNoise(camera=1e-6)
+    watch = CraneObserver(at_rest(sensor="camera", noise=sure, camera=Sensor(bias=0.003)))
+    for _ in range(300):
+        watch.step(0.01)
+    assert watch.outputs()["payload.x_rel"] == pytest.approx(0.003, abs=1e-5)
+
+
+def test_a_rope_beyond_the_horizontal_is_left_out() -> None:
+    watch = CraneObserver(at_rest())
+    watch.step(0.01, 0.0, 0.0, 0.0, 1.7)
+    assert watch.outputs()["sensor.samples"] == 0
+    watch.step(0.01, 0.0, 0.0, 0.0, 0.1)
+    assert watch.outputs()["sensor.samples"] == 1
+
+
+def test_a_saved_observer_runs_on_with_the_same_bits() -> None:
+    """Samples on their way and commands since the last one are in the state."""
+    settings = at_rest(rope=Sensor(noise=0.01, delay=0.034, seed=5))
+    one, other = CraneObserver(settings), CraneObserver(settings)
+    for number in range(57):
+        one.step(0.01, 0.1, 0.3, 0.0, 0.01 * number)
+    assert one.estimate.coming and one.estimate.since
+    other.load(one.save())
+    for watch in (one, other):
+        for number in range(40):
+            watch.step(0.007, 0.0, -0.2, 0.0, 0.002 * number)
+    assert one.save() == other.save()
+    assert one.output_values() == other.output_values()
+
+
+# --- covariance --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sensor", ["camera", "rope"])
+def test_the_covariance_is_that_of_the_samples(sensor: str) -> None:
+    """All of P, each entry to 10 % of its two deviations, in 400 s of the modelled noise.
+
+    The filter forgets within a second, so 400 s are some hundred independent errors.
+    """
+    assumed = AssumedNoise(camera=5e-4, rope=2e-3, payload=1.0, trolley=0.3)
+    readings = {"camera": Sensor(noise=5e-4), "rope": Sensor(noise=2e-3)}
+    watch = CraneObserver(at_rest(sensor=sensor, noise=assumed, **readings))
+    truth = LinearCrane(LIGHT, Initial(0.0), Numerics(elements=2))
+    omega, h = watch.string.modes.omega, 0.01
+    generator = np.random.default_rng(1)
+    force = assumed.payload * LIGHT.payload.mass
+    rows = []
+    for _ in range(40000):
+        eta = truth._motion.eta
+        shown = float(watch.c[:2] @ (omega * eta))  # what the sensor sees: m, or a slope
+        pushed, shaken = generator.standard_normal(2)
+        truth.step(h, 0.0, assumed.trolley * shaken, force * pushed)
+        watch.step(h, 0.0, 0.0, shown, float(np.arctan(shown)))
+        motion, guess = truth._motion, watch.estimate.now
+        off = np.append(omega * (guess.eta - motion.eta), guess.rate - motion.rate)
+        rows.append(off)
+    errors = np.array(rows[500:])
+    P = watch.filter_for(h).prior
+    size = np.sqrt(np.diag(P))
+    sampled = errors.T @ errors / len(errors)
+    assert np.abs((sampled - P) / np.outer(size, size)).max() < 0.1
+
+
+# --- the FMU -----------------------------------------------------------------------------------
+
+
+def listen(fmus: Path, crane: dict[str, Any], watch: dict[str, Any], **more: Any) -> Loop:
+    """The linear plant and an observer of it, nobody driving."""
+    believed = {name: value for name, value in crane.items() if name == "payload.mass"}
+    start = {
+        CRANE: {"initial.speed": 0.0, "chain.elements": 2} | crane,
+        OBSERVER: {"initial.speed": 0.0} | believed | watch,
+    }
+    files = {CRANE: fmus / "crane_lin.fmu", OBSERVER: fmus / "crane_observer.fmu"}
+    return Loop(**({"fmus": files, "start": start, "stop_time": 60.0, "step": 0.01} | more))
+
+
+def test_fmpy_validates(fmus: Path) -> None:
+    assert validate_fmu(str(fmus / "crane_observer.fmu")) == []
+
+
+def test_on_the_linear_plant_it_converges_to_the_truth(fmus: Path) -> None:
+    """To 1e-9 m within a minute, both payloads, both sensors, from 0.1 rad of unknown sway."""
+    cases, loops = [], []
+    for payload in PAYLOADS.values():
+        for sensor in ("camera", "rope"):
+            crane = {"payload.mass": payload, "initial.sway_angle": 0.1}
+            watch = {"observer.sensor": sensor}
+            watch |= {"observer.noise.camera": 1e-4, "observer.noise.rope": 1e-3}
+            cases.append((payload, sensor))
+            loops.append(listen(fmus, crane, watch))
+    for case, result in zip(cases, simulate_all(loops, "convergence"), strict=True):
+        for name in ("payload.x_rel", "chain.mid_x_rel", "chain.top_angle"):
+            gap = np.abs(result[column(OBSERVER, name)] - result[column(CRANE, name)])
+            assert gap[0] > 0.01 and gap[-100:].max() < 1e-9, (case, name)
+
+
+def test_its_deviations_are_those_of_the_samples(fmus: Path) -> None:
+    """Variances within 10 % on the linear plant with its modelled noise, through FMI alone.
+
+    Three runs of 300 s. Air keeps the sway small, as the angle's deviation is that of a small one.
+    """
+    payload, h, stop, seeds = PAYLOADS["light"], 0.05, 300.0, (1, 2, 3)
+    crane = {"payload.mass": payload, "damping.air": 1.0, "solver.max_step": h}
+    shown = {
+        CRANE: ("payload.x_rel", "payload.vx", "trolley.v", "chain.mid_x_rel", "chain.top_angle"),
+        OBSERVER: (*ESTIMATED, *(f"std.{name}" for name in ESTIMATED)),
+    }
+    push = column(CRANE, "payload.fx")
+    noise = np.zeros(round(stop / h), dtype=[("time", float), (push, float)])
+    noise["time"] = h * np.arange(len(noise))
+    loops = []
+    for sensor, deviation in (("camera", 5e-4), ("rope", 2e-3)):
+        for seed in seeds:
+            watch = {
+                "observer.sensor": sensor,
+                "observer.noise.payload": 1.0,
+                "damping.air": 1.0,
+                "sensor.sample_time": h,
+                "sensor.seed": seed,
+                f"observer.noise.{sensor}": deviation,
+                f"{sensor}.noise": deviation,
+            }
+            inputs = noise.copy()
+            inputs[push] = payload * np.random.default_rng(seed).standard_normal(len(noise))
+            more = {"stop_time": stop, "step": h, "inputs": inputs, "watched": shown}
+            loops.append(listen(fmus, crane, watch, **more))
+    results = simulate_all(loops, "deviations")
+    for runs in (results[: len(seeds)], results[len(seeds) :]):
+        for name in ESTIMATED:
+            squares = []
+            for tail in (run[100:] for run in runs):
+                if name == "payload.vx_rel":
+                    truth = tail[column(CRANE, "payload.vx")] - tail[column(CRANE, "trolley.v")]
+                else:
+                    truth = tail[column(CRANE, name)]
+                squares.append(np.mean((tail[column(OBSERVER, name)] - truth) ** 2))
+            said = float(runs[0][column(OBSERVER, f"std.{name}")][-1]) ** 2
+            assert abs(float(np.mean(squares)) / said - 1.0) < 0.1, name
+
+
+BAD = [
+    ({"observer.sensor": "sonar"}, "observer.sensor = 'sonar' is not allowed: one of camera, rope"),
+    ({"observer.model": "beam"}, "observer.model = 'beam' is not allowed: one of chain, pendulum"),
+    ({"observer.inputs_at": "never"}, "observer.inputs_at = 'never' is not allowed: one of start"),
+    ({"observer.elements": 0}, "observer.elements = 0 is not allowed: a whole number from 1 to 50"),
+    ({"observer.noise.payload": 0.0}, "observer.noise.payload = 0.0 is not allowed: a finite"),
+    ({"observer.noise.trolley": -1.0}, "observer.noise.trolley = -1.0 is not allowed: a finite"),
+    ({"sensor.sample_time": 0.0}, "sensor.sample_time = 0.0 is not allowed: a finite number above"),
+    ({"sensor.sample_time": -0.01}, "sensor.sample_time = -0.01 is not allowed: a finite number"),
+    ({"sensor.delay": -1.0}, "sensor.delay = -1.0 is not allowed: a finite number, 0 or above"),
+    ({"sensor.seed": -1}, "sensor.seed = -1 is not allowed: a whole number from 0"),
+    ({"rope.noise": float("nan")}, "rope.noise = nan is not allowed: a finite number, 0 or above"),
+    ({"camera.bias": float("inf")}, "camera.bias = inf is not allowed: a finite number"),
+    ({"payload.mass": 0.0}, "payload.mass = 0.0 is not allowed"),
+    (
+        {"observer.sensor": "camera", "observer.elements": 20},
+        "observer.elements = 20 is not allowed: elements that the camera can tell apart",
+    ),
+    (
+        {"observer.model": "pendulum", "sensor.sample_time": 0.8971402930932747},
+        "sensor.sample_time = 0.897140293 is not allowed: a time at which the rope shows every",
+    ),
+]
+
+
+def _refused(fmu: str, cases: list[Any]) -> list[Any]:
+    from slave_host import LOG, Host
+
+    seen = []
+    for start in cases:
+        LOG.clear()
+        host = Host(fmu, **{name.replace(".", "__"): value for name, value in start.items()})
+        status = host.step(0.01)
+        again = host.step(0.01)
+        host.slave.reset()
+        host.initialise()
+        seen.append([status, again, host.step(0.01), list(LOG)])
+        host.close()
+    return seen
+
+
+def test_bad_settings_are_refused_clearly(fmus: Path) -> None:
+    """Every step is discarded with name, value and what is allowed; a reset mends it."""
+    seen = in_fresh_process(_refused, str(fmus / "crane_observer.fmu"), [case for case, _ in BAD])
+    for (case, expected), (status, again, mended, log) in zip(BAD, seen, strict=True):
+        assert (status, again, mended) == (2, 2, 0), case
+        assert any(expected in line for line in log), (case, log)
+
+
+def test_bad_inputs_leave_the_observer() -> None:
+    watch = CraneObserver(at_rest())
+    before = watch.save()
+    for bad in ((0.01, float("nan")), (0.01, 0.0, 0.0, float("inf")), (-0.01,), (0.0,)):
+        with pytest.raises(BadValue, match="is not allowed"):
+            watch.step(*bad)
+    assert watch.save() == before
+
+
+def _state_of(fmu: str, inputs: dict[str, float]) -> list[bool]:
+    from slave_host import Host
+
+    def run(host: Host, steps: int) -> list[list[float]]:
+        rows = []
+        for number in range(steps):
+            for name, value in inputs.items():
+                host.set(name, value * (1 + number % 7))
+            rows += host.run(1)
+        return rows
+
+    noisy = {"rope__noise": 0.01, "sensor__delay": 0.025} if "observer" in fmu else {}
+    host = Host(fmu, **noisy)
+    first = run(host, 60)
+    state = host.slave.getFMUState()
+    data = host.slave.serializeFMUState(state)
+    on = run(host, 40)
+    host.slave.setFMUState(state)
+    host.time = 0.6
+    again = run(host, 40)
+    other = Host(fmu)
+    other.slave.setFMUState(other.slave.deserializeFMUState(data))
+    other.time = 0.6
+    elsewhere = run(other, 40)
+    host.slave.reset()
+    host.initialise(**noisy)
+    anew = run(host, 60)
+    return [on == again, on == elsewhere, first == anew, first[5] != first[40]]
+
+
+INPUTS = {
+    "crane_observer": {"rope.top_angle": 0.01, "trolley.a_cmd": 0.1},
+    "crane_antisway": {"target.x": 0.03, "mode.x_rel[1]": 0.002},
+}
+
+
+@pytest.mark.parametrize("model", INPUTS)
+def test_states_and_resets_repeat_bit_for_bit(fmus: Path, model: str) -> None:
+    done = in_fresh_process(_state_of, str(fmus / f"{model}.fmu"), INPUTS[model])
+    assert done == [True] * 4
+
+
+def _initial(fmu: str, changes: dict[str, Any]) -> dict[str, list[str]]:
+    from slave_host import Host
+
+    def outputs(**start: Any) -> dict[str, float]:
+        host = Host(fmu, **start)
+        names = [v.name for v in host.variables.values() if v.causality == "output"]
+        return {name: host.get(name) for name in names}
+
+    base = outputs()
+    found: dict[str, list[str]] = {name: [] for name in base}
+    for parameter, value in changes.items():
+        for name, seen in outputs(**{parameter.replace(".", "__"): value}).items():
+            if seen != base[name]:
+                found[name].append(parameter)
+    return found
+
+
+def test_initial_dependencies_are_declared(fmus: Path) -> None:
+    """What a start value changes before the first step is what the XML says, or less."""
+    import model_description
+
+    changes: dict[str, Any] = {
+        v.name: v.start * 1.3 + 0.01
+        for v in observer_interface.PARAMETERS
+        if v.kind == "Real" and isinstance(v.start, float)
+    }
+    changes |= {"observer.elements": 4, "observer.sensor": "camera", "observer.model": "pendulum"}
+    changes |= {"observer.inputs_at": "end", "sensor.seed": 9, "chain.mass_matrix": "averaged"}
+    assert set(changes) == {v.name for v in observer_interface.PARAMETERS}
+    found = in_fresh_process(_initial, str(fmus / "crane_observer.fmu"), changes)
+    for name, parameters in found.items():
+        declared = model_description.FMUS["crane_observer"].initial_dependencies(name)
+        assert set(parameters) <= set(declared), name
+        assert parameters or not declared or name == "sensor.samples", name
