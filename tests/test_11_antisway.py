@@ -102,7 +102,7 @@ def test_a_trapezoid_keeps_its_limits_and_ends_where_it_should(
     assert max(abs(p.a) for p in pieces) <= a * (1 + 1e-8)
     assert max(map(abs, speeds)) <= v * (1 + 1e-8)
     assert speeds[-1] == pytest.approx(0.0, abs=1e-9)
-    path = np.trapezoid(speeds, times) if hasattr(np, "trapezoid") else np.trapz(speeds, times)
+    path = np.trapezoid(speeds, times)
     assert path == pytest.approx(distance, rel=1e-9)
 
 
