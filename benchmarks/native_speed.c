@@ -5,9 +5,9 @@
    COMMANDS is a text file, a line a step of 1 ms: v_cmd a_cmd fx. Each step is run in every round,
    and its time is the least one of the rounds: what the computer itself did in between is left
    out. Printed, in us and numbers: median and largest of these; the largest time of any round; the
-   most iterations and internal steps of a step; then, in ns a step of a whole run, the least of
-   the rounds: FMU with 3 inputs set and 7 outputs read; bare model, steps alone; bare model, steps
-   and outputs. */
+   most iterations and internal steps of a step; then, in ns a step of a whole run, each second of
+   it by its least time: FMU with 3 inputs set and 7 outputs read; bare model, steps alone; bare
+   model, steps and outputs. */
 
 #include <dlfcn.h>
 #include <math.h>
@@ -21,7 +21,7 @@
 #include "interface.h"
 #include "model.h"
 
-enum { LOOKED_AT = 7 };
+enum { LOOKED_AT = 7, PART = 1000, PARTS = 200 };
 
 static const double H = 1e-3;
 static const fmi2ValueReference COMMANDED[INPUTS] = {VR_TROLLEY_V_CMD, VR_TROLLEY_A_CMD,
@@ -100,19 +100,46 @@ static ChainSettings chosen(const Fmu *fmu, fmi2Component c) {
                            CHAIN_CONSISTENT};
 }
 
-/* Seconds of a whole run of the bare model. */
-static double bare_run(const CraneModel *crane, void *memory, const ChainSettings *settings,
-                       double (*commands)[INPUTS], int steps, int with_outputs) {
+/* The least time of each part of a run, s. */
+typedef struct {
+    double least[PARTS], started;
+} Parts;
+
+/* A part ends before step i, or at the end of the run. */
+static void end_part(Parts *parts, int i) {
+    double at = now();
+    int part = (i - 1) / PART;
+    if (i > 0) parts->least[part] = fmin(parts->least[part], at - parts->started);
+    parts->started = now();
+}
+
+static double nanoseconds_a_step(const Parts *parts, int steps) {
+    double sum = 0.0;
+    for (int part = 0; part * PART < steps; part++) sum += parts->least[part];
+    return 1e9 * sum / steps;
+}
+
+static void fmu_run(const Fmu *fmu, fmi2Component c, double (*commands)[INPUTS], int steps,
+                    Parts *parts) {
+    for (int i = 0; i < steps; i++) {
+        if (i % PART == 0) end_part(parts, i);
+        fmu_step(fmu, c, i, commands[i]);
+    }
+    end_part(parts, steps);
+}
+
+static void bare_run(const CraneModel *crane, void *memory, const ChainSettings *settings,
+                     double (*commands)[INPUTS], int steps, int with_outputs, Parts *parts) {
     double outputs[CHAIN_OUTPUTS];
     ChainFailure failure;
     crane->create(memory, settings);
-    double started = now();
     for (int i = 0; i < steps; i++) {
         const double *u = commands[i];
+        if (i % PART == 0) end_part(parts, i);
         if (crane->step(memory, H, u[0], u[1], u[2], &failure) != CHAIN_OK) fail("bare step");
         if (with_outputs) crane->outputs(memory, outputs);
     }
-    return now() - started;
+    end_part(parts, steps);
 }
 
 static int ascending(const void *a, const void *b) {
@@ -135,7 +162,7 @@ int main(int count, char **arguments) {
                (fmi2EnterInitializationModeTYPE *)symbol(library, "fmi2EnterInitializationMode"),
                (fmi2ExitInitializationModeTYPE *)symbol(library, "fmi2ExitInitializationMode")};
     const CraneModel *crane = symbol(bare, "CRANE");
-    int steps = 0, room = 1 << 17, rounds = atoi(arguments[5]), starts = count - 6;
+    int steps = 0, room = PART * PARTS, rounds = atoi(arguments[5]), starts = count - 6;
     double(*commands)[INPUTS] = malloc((size_t)room * sizeof *commands);
     double *least = malloc((size_t)room * sizeof *least);
     if (!commands || !least) fail("no memory");
@@ -147,7 +174,10 @@ int main(int count, char **arguments) {
                                       fmi2False, fmi2False);
     if (!c) fail("the guid");
 
-    double largest = 0.0, whole = INFINITY, alone = INFINITY, seen = INFINITY;
+    double largest = 0.0;
+    static Parts whole, alone, seen;
+    for (int part = 0; part < PARTS; part++)
+        whole.least[part] = alone.least[part] = seen.least[part] = INFINITY;
     int most_steps = 0, most_iterations = 0;
     for (int round = 0; round < rounds; round++) {
         begin(&fmu, c, starts, arguments + 6);
@@ -166,16 +196,14 @@ int main(int count, char **arguments) {
         ChainSettings settings = chosen(&fmu, c);
         void *memory = malloc(crane->memory(settings.elements));
         if (!memory) fail("no memory");
-        double started = now();
-        for (int i = 0; i < steps; i++) fmu_step(&fmu, c, i, commands[i]);
-        whole = fmin(whole, now() - started);
-        alone = fmin(alone, bare_run(crane, memory, &settings, commands, steps, 0));
-        seen = fmin(seen, bare_run(crane, memory, &settings, commands, steps, 1));
+        fmu_run(&fmu, c, commands, steps, &whole);
+        bare_run(crane, memory, &settings, commands, steps, 0, &alone);
+        bare_run(crane, memory, &settings, commands, steps, 1, &seen);
         free(memory);
     }
     qsort(least, (size_t)steps, sizeof *least, ascending);
     printf("%g %g %g %d %d %g %g %g\n", 1e6 * least[steps / 2], 1e6 * least[steps - 1],
-           1e6 * largest, most_iterations, most_steps, 1e9 * whole / steps, 1e9 * alone / steps,
-           1e9 * seen / steps);
+           1e6 * largest, most_iterations, most_steps, nanoseconds_a_step(&whole, steps),
+           nanoseconds_a_step(&alone, steps), nanoseconds_a_step(&seen, steps));
     return 0;
 }

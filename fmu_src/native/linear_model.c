@@ -57,7 +57,7 @@ typedef struct {
     double *squares;                    /* rad2/s2, omega^2, ascending */
     double *push;                       /* sqrt(kg), modal load of a trolley acceleration */
     double *node1, *payload;            /* 1/sqrt(kg), rows of the shapes */
-    double *points[POINTS];             /* 1/sqrt(kg), of the points */
+    double *points;                     /* 1/sqrt(kg), of the points: POINTS to each mode */
     double response_h, *s, *s_dot;      /* free response after response_h, s */
     Motion jumped, at;                  /* work: after a jump; at a point of quadrature */
     double *K_diagonal, *K_coupling;    /* N/m, of (31): node i, and nodes i, i + 1 */
@@ -238,7 +238,7 @@ static void modes(LinearCrane *c) {
         c->node1[mode] = shape[0];
         c->payload[mode] = shape[c->n - 1];
         for (int point = 0; point < POINTS; point++)
-            c->points[point][mode] = interpolate(shape, c->n, fraction(point));
+            c->points[mode * POINTS + point] = interpolate(shape, c->n, fraction(point));
     }
 }
 
@@ -403,7 +403,10 @@ static void outputs(const void *memory, double values[CHAIN_OUTPUTS]) {
     const Header *head = c->head;
     double x_rel = dot(c->payload, c->motion.eta, c->n), *out = values;
     double expected = head->start + head->work_trolley + head->work_payload - head->dissipated;
-    double now = energy(c, c->motion, head->trolley_v);
+    double now = energy(c, c->motion, head->trolley_v), q[POINTS] = {0.0};
+    for (int mode = 0; mode < c->n; mode++) /* all points together: many short sums are fast */
+        for (int point = 0; point < POINTS; point++)
+            q[point] += c->points[mode * POINTS + point] * c->motion.eta[mode];
     *out++ = head->trolley_x;
     *out++ = head->trolley_v;
     *out++ = head->trolley_fx;
@@ -413,12 +416,12 @@ static void outputs(const void *memory, double values[CHAIN_OUTPUTS]) {
     *out++ = 0.0;
     *out++ = x_rel;
     *out++ = atan2(x_rel, -c->payload_y);
-    *out++ = dot(c->points[POINTS - 1], c->motion.eta, c->n);
+    *out++ = q[POINTS - 1];
     *out++ = atan2(dot(c->node1, c->motion.eta, c->n), -c->node1_y);
     *out++ = hanging_tension(c, 0);
     *out++ = hanging_tension(c, c->n - 1);
     for (int i = 0; i < CHAIN_MATERIAL_POINTS; i++) {
-        out[i] = head->trolley_x + dot(c->points[i], c->motion.eta, c->n);
+        out[i] = head->trolley_x + q[i];
         out[i + CHAIN_MATERIAL_POINTS] = c->depth[i];
     }
     out += 2 * CHAIN_MATERIAL_POINTS;
@@ -455,7 +458,8 @@ static void create(void *memory, const ChainSettings *settings) {
         &c->jumped.eta, &c->jumped.rate, &c->at.eta, &c->at.rate, &c->K_diagonal, &c->K_coupling,
         &c->down,       &c->up,          &c->nodal,  &c->other};
     for (int i = 0; i < ARRAYS - POINTS; i++, next += n) *arrays[i] = next;
-    for (int i = 0; i < POINTS; i++, next += n) c->points[i] = next;
+    c->points = next;
+    next += POINTS * n;
     c->head = (Header *)next;
     c->motion.eta = next + sizeof(Header) / sizeof(double);
     c->motion.rate = c->motion.eta + n;
