@@ -36,6 +36,7 @@ def c_header(
     }
     rows = [_row(variable, texts) for variable in variables]
     references = [f"    VR_{_constant(v.name)} = {places[v.name]}," for v in variables]
+    most = max(map(len, CHOICES.values()))
     logs = [f"LOG_{_snake(name.removeprefix('log'))}" for name in categories]
     return "\n".join(
         (
@@ -66,7 +67,7 @@ def c_header(
             "    int text;                   /* of a String: its place among the Strings */",
             "    const char *start_text;     /* of a String */",
             "    const char *allowed;        /* in words, of a parameter */",
-            "    const char *choices[4];     /* of a String; NULL ends them */",
+            f"    const char *choices[{most + 1}];     /* of a String; NULL ends them */",
             "} Variable;",
             "",
             "/* static: each file has its own copy, and none changes it */",

@@ -21,6 +21,7 @@ from conftest import PAYLOADS, ROOT, in_fresh_process, paper_motion
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from native_speed import Bench
+from test_8_hosts import _fuzz, _resets
 
 from build_fmu import build_native
 from chaincrane.interface import OUTPUTS
@@ -148,16 +149,16 @@ def _many_elements(fmu: str, elements: int) -> list[float]:
     return [took, host.get("payload.x_rel"), host.get("energy.error"), host.get("energy.total")]
 
 
-def test_linear_crane_copes_with_a_thousand_elements(native_fmus: Path) -> None:
-    """Modes take O(n^2): a second or two; what was released stays, and so does its energy."""
+def test_linear_crane_copes_with_many_elements(native_fmus: Path) -> None:
+    """What was released is released, and its energy stays; O(n^2), 35 s for 10 000 by hand."""
     fmu = str(native_fmus / "crane_lin_native.fmu")
-    took, x, error, energy = in_fresh_process(_many_elements, fmu, 1000)
-    crane = LinearCrane(None, Initial(0.0, 0.1), Numerics(1000))
+    took, x, error, energy = in_fresh_process(_many_elements, fmu, 500)
+    crane = LinearCrane(None, Initial(0.0, 0.1), Numerics(500))
     for _ in range(100):
         crane.step(0.01)
     assert x == pytest.approx(crane.outputs()["payload.x_rel"], abs=1e-9)
     assert abs(error) < 1e-9 * energy
-    assert took < 20.0  # half a second on an idle machine
+    assert took < 10.0  # 0.1 s on an idle machine
 
 
 def _words(fmu: str, bad: list[list[Any]]) -> list[str]:
@@ -322,7 +323,7 @@ def test_a_step_costs_little_more_than_the_bare_kernel(tmp_path: Path) -> None:
     bench = Bench("crane_nl_native", tmp_path)
     one = next(one for one in find(ROOT / "scenarios") if one.name == "paper_heavy")
     run = next(run for run in one.runs if run.fmu == "crane_nl.fmu")
-    times = bench.times(one.job(run, Path()), rounds=10)
+    times = bench.times(one.job(run, Path()), rounds=5)
     assert times.ratio <= 1.3, times
     assert times.steps == 1 and times.iterations <= 12
     assert times.worst < 200.0  # us of the 1000 there are; about 4 on an idle machine
@@ -505,16 +506,37 @@ def test_it_lives_beside_its_python_twin(fmus: Path, native_fmus: Path, model: s
     assert ours == pytest.approx(theirs, abs=1e-12)
 
 
+def _push_and_brake(fmu: str) -> list[float]:
+    from slave_host import Host
+
+    host = Host(fmu, payload__mass=0.07)
+    host.set("trolley.v_cmd", 0.8)
+    host.run(100)
+    host.set("trolley.a_cmd", -0.5)
+    host.set("payload.fx", 0.2)
+    return host.run(100)[-1]
+
+
 def test_the_fmu_is_the_kernel_bit_for_bit(native_fmus: Path, library: Any) -> None:
     crane = NativeCrane(Crane(payload=Payload(0.07)), library=library)
-    job = Job(
-        native_fmus / "crane_nl_native.fmu", {"payload.mass": 0.07}, paper_motion(), 4.0, 0.005
-    )
-    (result,) = simulate_all([job], "kernel")
-    for row in result[1:]:
-        crane.step(0.005, 0.8 if row["time"] < 1.0 + 1e-9 else 0.0)
-    for name, value in crane.outputs().items():
-        assert abs(result[name][-1] - value) <= within(name), name
+    for step in range(200):
+        crane.step(0.01, 0.8, *((0.0, 0.0) if step < 100 else (-0.5, 0.2)))
+    ours = in_fresh_process(_push_and_brake, str(native_fmus / "crane_nl_native.fmu"))
+    assert ours == crane.output_values()[: len(ours)]
+
+
+@both
+def test_fuzzed_calls_end_with_a_status(native_fmus: Path, model: str) -> None:
+    """As for the Python FMUs: calls in any order, with any values; no crash, never fmi2Fatal."""
+    assert in_fresh_process(_fuzz, str(native_fmus / f"{model}.fmu"), 200) >= 200
+
+
+@both
+def test_ten_thousand_resets(native_fmus: Path, model: str) -> None:
+    """The same bits, and no memory grown: 100 kB are FMPy's own."""
+    done = in_fresh_process(_resets, str(native_fmus / f"{model}.fmu"), 10_000)
+    assert done["same"]
+    assert done["grown"] < 100_000
 
 
 @linux_host
