@@ -22,7 +22,7 @@ STEP = 0.01  # s
 LAST = 5.0  # s, at the end: where residual sway is looked at
 SETTLED = 5e-3  # m
 NOISE = {"camera": 0.002, "rope": radians(0.5)}  # m, rad, standard deviations of each sample
-BELIEVED = ("chain.length", "chain.mass", "chain.EA", "payload.mass", "gravity", "damping.air")
+BELIEVED = ("chain.length", "chain.mass", "chain.EA", "payload.mass", "gravity")
 
 
 @dataclass(frozen=True)

@@ -194,7 +194,8 @@ def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) 
     """Sway and its estimates' errors, a column for each payload."""
     figure, axes = _new(2, len(panels), 4.8 * len(panels), 5.0, sharex=True, sharey="row")
     for column, (label, runs) in enumerate(panels):
-        for (name, table), style in zip(runs, RUN_STYLES, strict=False):
+        for (name, whole), style in zip(runs, RUN_STYLES, strict=False):
+            table = whole[::2]
             time, sway = table["time"], 1e3 * table["crane::payload.x_rel"]
             axes[0, column].plot(time, sway, label=name, **style)
             if name.startswith("LQR"):

@@ -19,6 +19,7 @@ BELIEVED = (0.7, 0.85, 1.0, 1.15, 1.3)
 PUSH = (7.0, 7.5, 0.5)  # s, s, m/s2 by the payload's mass
 PUSHED_STOP = 20.0  # s
 LONG_STOP = 60.0  # s
+AIR = 0.1  # 1/s, unknown to observer and controller
 HARD = {
     "antisway": {
         "antisway.scale.position": 0.1,
@@ -61,6 +62,8 @@ def cases() -> Iterator[Case]:
         for elements in OBSERVERS:
             one = replace(base, observer=elements, push=PUSH, stop_time=PUSHED_STOP)
             yield Case("push", (label, one.label), one)
+        blind = replace(base, method="zv", push=PUSH, stop_time=PUSHED_STOP)
+        yield Case("push", (label, "ZV, no feedback"), blind)
         for elements in (0, 2, 10):
             for believed in BELIEVED:
                 one = replace(base, observer=elements, believed=believed)
@@ -73,6 +76,8 @@ def cases() -> Iterator[Case]:
         for elements in (0, 2, 10):
             one = replace(base, observer=elements, stop_time=LONG_STOP)
             yield Case("long", (label, one.label), one)
+        aired = replace(base, stop_time=LONG_STOP, more={"crane": {"damping.air": AIR}})
+        yield Case("long", (label, f"{aired.label}, crane with damping.air {AIR:g} 1/s"), aired)
         for step in STEPS:
             timed = replace(base, step=step, more={"observer": {"sensor.sample_time": step}})
             orders = {
