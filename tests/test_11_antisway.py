@@ -354,9 +354,9 @@ def test_the_readmes_study_is_the_documents_and_the_documents_the_fmus(fmus: Pat
         places = [(p, s) for p in ("heavy", "light") for s in ("camera", "rope")]
         for (payload, sensor), cell in zip(places, cells, strict=False):
             error, _, _, residual, *_ = closed[payload, sensor, name, "noisy"]
-            numbers = [round(float(text.split()[0]), 1) for text in (error, residual)]
+            numbers = [float(text.split()[0]) for text in (error, residual)]
             told = [float(text) for text in re.findall(r"[\d.]+", cell)]
-            assert told == pytest.approx(numbers, abs=0.051), (name, cell)
+            assert told == pytest.approx(numbers, abs=0.056), (name, cell)
             seen += 1
     assert seen == 20
     chosen = [

@@ -191,6 +191,7 @@ class AntiSway:
 
     def __init__(self, settings: AntiSwaySettings | None = None) -> None:
         self.settings = settings or AntiSwaySettings()
+        self.start_time = 0.0  # s, the host's
         self.settings.check()
         one = self.settings
         crane, elements = design_crane(one.crane, one.model, one.elements)

@@ -136,6 +136,7 @@ class CraneObserver:
 
     def __init__(self, settings: ObserverSettings | None = None) -> None:
         self.settings = settings or ObserverSettings()
+        self.start_time = 0.0  # s, the host's
         self.settings.check()
         crane, elements = design_crane(
             self.settings.crane, self.settings.model, self.settings.elements
