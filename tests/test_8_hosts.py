@@ -578,7 +578,7 @@ def _fuzz(fmu: str, sequences: int) -> int:
     return done
 
 
-@both
+@pytest.mark.parametrize("model", [*MODELS, "crane_observer", "crane_antisway"])
 def test_fuzzed_calls_end_with_a_status(fmus: Path, model: str) -> None:
     """200 sequences of FMI calls in random order, with random sizes and values: never a crash,
     never fmi2Fatal, after which an instance would be lost.
