@@ -7,8 +7,8 @@ from typing import Any
 
 from . import interface
 from .antisway import METHODS, AntiSwaySettings, Limits, Scales
-from .observer import INPUTS_AT, MAX_ELEMENTS, MODELS, SHOWN_MODES
-from .observer_interface import BELIEVED, believed_crane
+from .observer import INPUTS_AT, SHOWN_MODES
+from .observer_interface import BELIEVED, believed_crane, design_model
 from .variables import TINY, input_variable, output, parameter
 
 _SETTINGS = AntiSwaySettings()
@@ -38,22 +38,7 @@ PARAMETERS = (
         " vibration) or the plain fastest move",
         kind="String",
     ),
-    parameter(
-        "antisway.model",
-        None,
-        _SETTINGS.model,
-        f"{' or '.join(MODELS)}: the taut string, or a massless rope",
-        kind="String",
-    ),
-    parameter(
-        "antisway.elements",
-        None,
-        _SETTINGS.elements,
-        "number of finite elements of the chain",
-        kind="Integer",
-        minimum=1,
-        maximum=MAX_ELEMENTS,
-    ),
+    *design_model("antisway", _SETTINGS.model, _SETTINGS.elements),
     parameter(
         "antisway.modes",
         None,

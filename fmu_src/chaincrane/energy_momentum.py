@@ -164,7 +164,7 @@ class EnergyMomentum:
             if d1 is None:
                 break
             if size <= DISPLACEMENT_TOLERANCE * crane.chain.length:
-                return self._result(motion, load, h, d1, iteration)
+                return self._result(motion, load, h, viscosity, (d0, d1), iteration)
             last = size
         raise NotConverged.in_step(h, iteration)
 
@@ -186,16 +186,23 @@ class EnergyMomentum:
         load = steady + 2.0 / h * mass_times(chain, motion.w) - assemble_force(k[:, None] * d0)
         return banded.solve_tridiagonal(diagonal, coupling, load)
 
-    def _result(self, motion: Motion, load: Load, h: float, d1: Array, n: int) -> StepResult:
-        """Velocities and the step's energy terms, once the element vectors are known."""
+    def _result(
+        self,
+        motion: Motion,
+        load: Load,
+        h: float,
+        viscosity: float,
+        vectors: tuple[Array, Array],
+        n: int,
+    ) -> StepResult:
+        """Velocities and energy terms, once the element ``vectors`` of start and end are known."""
         chain, crane = self.chain, self.chain.crane
-        d0 = along_elements(motion.r)
+        d0, d1 = vectors
         moved = np.cumsum(d1 - d0, axis=0)  # at rest 0 to the last digit, which r1 - r0 is not
         r1 = motion.r + moved
         w1 = 2.0 / h * moved - motion.w
         trolley_v = load.trolley_v + 0.5 * h * load.trolley_a
         trolley_dx = h * trolley_v
-        viscosity = crane.chain.EA / chain.L0 * (crane.damping.chain / h + AXIAL_DISSIPATION)
         force = element_force(crane.chain.EA, chain.L0, viscosity, d0, d1)
         air = crane.damping.air
         row = chain.row_mass0

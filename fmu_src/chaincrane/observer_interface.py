@@ -17,7 +17,7 @@ from .observer import (
 )
 from .parameters import MATERIAL_POINTS, Chain, Crane, Damping, Payload
 from .sensor import MAX_SEED, Sensor
-from .variables import TINY, input_variable, output, parameter
+from .variables import TINY, Variable, input_variable, output, parameter
 
 _SETTINGS, _NOISE, _SENSOR = ObserverSettings(), AssumedNoise(), Sensor()
 _SHARED = {variable.name: variable for variable in interface.VARIABLES}
@@ -31,6 +31,29 @@ BELIEVED = (  # the cranes' parameters that a model for control design has
     "chain.mass_matrix",
 )
 
+
+def design_model(part: str, model: str, elements: int) -> tuple[Variable, Variable]:
+    """Rows of the model that a part is designed from; ``part`` begins their names."""
+    return (
+        parameter(
+            f"{part}.model",
+            None,
+            model,
+            f"{' or '.join(MODELS)}: the taut string, or a massless rope",
+            kind="String",
+        ),
+        parameter(
+            f"{part}.elements",
+            None,
+            elements,
+            "number of finite elements of the chain",
+            kind="Integer",
+            minimum=1,
+            maximum=MAX_ELEMENTS,
+        ),
+    )
+
+
 INPUTS = (
     _SHARED["trolley.v_cmd"],
     _SHARED["trolley.a_cmd"],
@@ -42,22 +65,7 @@ INPUTS = (
 
 PARAMETERS = (
     *(_SHARED[name] for name in (*BELIEVED, "initial.speed")),
-    parameter(
-        "observer.model",
-        None,
-        _SETTINGS.model,
-        f"{' or '.join(MODELS)}: the taut string, or a massless rope",
-        kind="String",
-    ),
-    parameter(
-        "observer.elements",
-        None,
-        _SETTINGS.elements,
-        "number of finite elements of the chain",
-        kind="Integer",
-        minimum=1,
-        maximum=MAX_ELEMENTS,
-    ),
+    *design_model("observer", _SETTINGS.model, _SETTINGS.elements),
     parameter(
         "observer.sensor",
         None,
