@@ -13,7 +13,7 @@ import numpy as np
 from .compare import markdown_table
 from .errors import UserError
 from .loop import ANTISWAY, CRANE, OBSERVER, SEPARATOR, Loop, column
-from .simulate import Table
+from .tables import Table
 
 HEAVY, LIGHT = 0.42, 0.07  # kg, the paper's payloads
 TARGET = 1.0  # m

@@ -12,17 +12,11 @@ from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_settin
 from .errors import UserError
 from .loop import ORDERS
 from .masters import MASTERS, Package
+from .processes import Work, progress_bar, simulate_all
 from .scenario import Run, Scenario
-from .simulate import (
-    Table,
-    Work,
-    describe,
-    progress_bar,
-    read_table,
-    simulate_all,
-    write_table,
-)
+from .simulate import describe
 from .ssp import write_ssp
+from .tables import Table, read_table, write_table
 
 PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
 

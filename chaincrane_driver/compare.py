@@ -12,7 +12,7 @@ import numpy as np
 
 from .errors import UserError
 from .scenario import Run, Scenario, read_toml
-from .simulate import Table
+from .tables import Table
 
 COST = ("solver.steps", "solver.iterations")  # what a run costs, not what it gives
 

@@ -29,7 +29,9 @@ from fmpy.fmi2 import (
 from fmpy.logging import addLoggerProxy
 
 from .errors import UserError
-from .simulate import REPORTS, Progress, Table, describe
+from .progress import REPORTS, Progress
+from .simulate import describe
+from .tables import Table
 
 CRANE, OBSERVER, ANTISWAY = "crane", "observer", "antisway"
 ORDERS = ("parallel", "sequential")

@@ -12,8 +12,9 @@ from typing import Any
 
 from .errors import UserError
 from .loop import SEPARATOR, Loop
-from .simulate import Progress, Table
+from .progress import Progress
 from .ssp import PARAMETERS
+from .tables import Table
 
 MASTERS = ("fmpy", "ecos", "libcosim")
 INSTALL = "pip install -e '.[importers]'"

@@ -11,7 +11,7 @@ import numpy as np
 
 from .compare import shown
 from .scenario import Run, Scenario
-from .simulate import Table
+from .tables import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from .errors import UserError
-from .simulate import Job, read_table
+from .simulate import Job
+from .tables import read_table
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -10,7 +10,8 @@ from . import plots
 from .antisway import HEAVY, LIGHT, Metrics, Setup, estimation_error, listening, measure
 from .compare import markdown_table
 from .loop import Loop
-from .simulate import Table, simulate_all
+from .processes import simulate_all
+from .tables import Table
 
 PAYLOADS = {"heavy": HEAVY, "light": LIGHT}
 OBSERVERS = (0, 1, 2, 5, 10)  # elements; 0: pendulum

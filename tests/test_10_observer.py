@@ -20,7 +20,7 @@ from chaincrane.observer import AssumedNoise, CraneObserver, ObserverSettings
 from chaincrane.parameters import Crane, Damping, Initial, Numerics, Payload
 from chaincrane.sensor import Sensor, normal
 from chaincrane_driver.loop import CRANE, OBSERVER, Loop, column
-from chaincrane_driver.simulate import simulate_all
+from chaincrane_driver.processes import simulate_all
 
 LIGHT = Crane(payload=Payload(PAYLOADS["light"]))
 ESTIMATED = ("payload.x_rel", "payload.vx_rel", "chain.mid_x_rel", "chain.top_angle")

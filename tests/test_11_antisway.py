@@ -39,8 +39,9 @@ from chaincrane_driver.antisway import Setup, measure
 from chaincrane_driver.errors import UserError
 from chaincrane_driver.loop import ANTISWAY, CRANE, OBSERVER, column
 from chaincrane_driver.masters import Package
-from chaincrane_driver.simulate import Table, simulate_all
+from chaincrane_driver.processes import simulate_all
 from chaincrane_driver.ssp import write_ssp
+from chaincrane_driver.tables import Table
 
 HEAVY, LIGHT = PAYLOADS.values()
 A_CMD, V, X = column(ANTISWAY, "trolley.a_cmd"), column(CRANE, "trolley.v"), "crane::trolley.x"

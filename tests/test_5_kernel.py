@@ -27,7 +27,7 @@ from chaincrane.parameters import (
     Payload,
 )
 from chaincrane_driver import scenario
-from chaincrane_driver.simulate import read_table
+from chaincrane_driver.tables import read_table
 
 PAYLOADS = {"heavy": MAOURANE_SZABO_2020_HEAVY, "light": MAOURANE_SZABO_2020_LIGHT}
 PLACES = ("payload.x", "payload.y", *(f"chain.{c}[{i}]" for c in "xy" for i in range(1, 11)))

@@ -17,7 +17,8 @@ from chaincrane.interface import PARAMETERS
 from chaincrane.kernel import NativeCrane
 from chaincrane.linear import LinearCrane
 from chaincrane.parameters import Chain, Crane, Damping, Initial, Numerics, Payload
-from chaincrane_driver.simulate import Job, simulate_all
+from chaincrane_driver.processes import simulate_all
+from chaincrane_driver.simulate import Job
 
 STEPS = (0.001, 0.005, 0.013, 0.05)  # s, communication steps
 

@@ -12,7 +12,9 @@ from conftest import ROOT
 from chaincrane_driver import scenario
 from chaincrane_driver.compare import check, difference, reference_rows
 from chaincrane_driver.errors import UserError
-from chaincrane_driver.simulate import Job, read_table, simulate_all, write_table
+from chaincrane_driver.processes import simulate_all
+from chaincrane_driver.simulate import Job
+from chaincrane_driver.tables import read_table, write_table
 
 SCENARIOS = ROOT / "scenarios"
 NAMES = [

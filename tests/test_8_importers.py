@@ -18,7 +18,9 @@ from conftest import PAYLOADS, SPEED, STOP_AT, paper_motion
 from importers.case import Case
 
 from chaincrane.interface import OUTPUTS
-from chaincrane_driver.simulate import Job, read_table, simulate_all
+from chaincrane_driver.processes import simulate_all
+from chaincrane_driver.simulate import Job
+from chaincrane_driver.tables import read_table
 
 STEP = 0.005
 EVERY_MODEL = ["crane_nl", "crane_lin", "crane_nl_native", "crane_lin_native"]

@@ -29,8 +29,9 @@ from chaincrane.kernel import NativeCrane
 from chaincrane.linear import LinearCrane
 from chaincrane.parameters import Crane, Damping, Initial, Numerics, Payload
 from chaincrane_driver.cli import main
+from chaincrane_driver.processes import simulate_all
 from chaincrane_driver.scenario import find
-from chaincrane_driver.simulate import Job, simulate_all
+from chaincrane_driver.simulate import Job
 
 TWINS = {"crane_nl_native": "crane_nl", "crane_lin_native": "crane_lin"}
 NATIVE = tuple(TWINS)

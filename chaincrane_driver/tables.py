@@ -1,0 +1,61 @@
+"""Tables of inputs and results, and their CSV files."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import UserError
+
+Table = NDArray[np.void]  # a structured array, its first column the time
+
+
+def column_names(table: Table) -> tuple[str, ...]:
+    """The names of a table's columns, in order."""
+    assert table.dtype.names is not None
+    return table.dtype.names
+
+
+def read_table(path: Path) -> Table:
+    """Read a CSV file of numbers with a header, its first column the time.
+
+    Raises UserError naming the file, row and column of what is not a number.
+    """
+    try:
+        with path.open(newline="") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not a text file"
+        raise UserError(f"{path}: cannot be read: {reason}") from error
+    if len(rows) < 2:
+        raise UserError(f"{path}: needs a header and at least one row of numbers")
+    header = [name.strip() for name in rows[0]]
+    if header[0] != "time" or len(set(header)) != len(header):
+        raise UserError(f"{path}: the header needs 'time' first and no name twice")
+    table = np.zeros(len(rows) - 1, dtype=[(name, float) for name in header])
+    for number, row in enumerate(rows[1:], start=2):
+        if len(row) != len(header):
+            raise UserError(f"{path}, row {number}: {len(row)} values for {len(header)} columns")
+        for name, text in zip(header, row, strict=True):
+            value = np.nan
+            with contextlib.suppress(ValueError):
+                value = float(text)
+            if not np.isfinite(value):
+                raise UserError(f"{path}, row {number}, {name}: {text!r} is not a finite number")
+            table[name][number - 2] = value
+    if np.any(np.diff(table["time"]) < 0):
+        raise UserError(f"{path}: the time goes backwards")
+    return table
+
+
+def write_table(path: Path, table: Table, digits: int = 16) -> None:
+    """Write a table as CSV, its numbers with ``digits`` significant digits."""
+    columns = column_names(table)
+    lines = [",".join(columns)]
+    lines += [",".join(f"{value:.{digits}g}" for value in row) for row in table.tolist()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n")
