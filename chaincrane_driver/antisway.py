@@ -22,7 +22,8 @@ STEP = 0.01  # s
 LAST = 5.0  # s, at the end: where residual sway is looked at
 SETTLED = 5e-3  # m
 NOISE = {"camera": 0.002, "rope": radians(0.5)}  # m, rad, standard deviations of each sample
-BELIEVED = ("chain.length", "chain.mass", "chain.EA", "payload.mass", "gravity")
+# The crane's parameters that observer and controller are told too.
+TOLD_TO_ALL = ("chain.length", "chain.mass", "chain.EA", "payload.mass", "gravity")
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Setup:
         """The loop of FMU files in the folder ``fmus``."""
         crane: dict[str, Any] = {"payload.mass": self.payload, "initial.speed": 0.0}
         crane |= self.more.get(CRANE, {})
-        shared = {name: crane[name] for name in BELIEVED if name in crane}
+        shared = {name: crane[name] for name in TOLD_TO_ALL if name in crane}
         shared["payload.mass"] = self.payload * self.believed
         model: dict[str, Any] = {"model": "chain" if self.observer else "pendulum"}
         model["elements"] = max(1, self.observer)

@@ -16,7 +16,8 @@ from .tables import Table
 PAYLOADS = {"heavy": HEAVY, "light": LIGHT}
 OBSERVERS = (0, 1, 2, 5, 10)  # elements; 0: pendulum
 SENSORS = ("camera", "rope")
-BELIEVED = (0.7, 0.85, 1.0, 1.15, 1.3)
+# Factors on the payload's mass that observer and controller believe.
+MISJUDGED = (0.7, 0.85, 1.0, 1.15, 1.3)
 PUSH = (7.0, 7.5, 0.5)  # s, s, m/s2 by the payload's mass
 PUSHED_STOP = 20.0  # s
 LONG_STOP = 60.0  # s
@@ -66,7 +67,7 @@ def cases() -> Iterator[Case]:
         blind = replace(base, method="zv", push=PUSH, stop_time=PUSHED_STOP)
         yield Case("push", (label, "ZV, no feedback"), blind)
         for elements in (0, 2, 10):
-            for believed in BELIEVED:
+            for believed in MISJUDGED:
                 one = replace(base, observer=elements, believed=believed)
                 off = f"{100 * (believed - 1):+.0f} %" if believed != 1.0 else "0 %"
                 yield Case("mass", (label, one.label, off), one)
