@@ -1,4 +1,4 @@
-/* A host of native FMUs with no Python in its process, for test_8_native.py.
+/* A host of native FMUs with no Python in its process, for test_08_native.py.
 
    native_host TASK NL_LIBRARY NL_GUID LIN_LIBRARY LIN_GUID [ARGUMENT]
 

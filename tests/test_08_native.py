@@ -21,7 +21,7 @@ from conftest import PAYLOADS, ROOT, in_fresh_process, paper_motion
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from native_speed import Bench
-from test_8_hosts import _fuzz, _resets
+from test_08_hosts import _fuzz, _resets
 
 from build_fmu import build_native
 from chaincrane.interface import OUTPUTS
