@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src"), str(ROOT / "fmu_src" / "native")]
+sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src")]
 
-import compile_kernel
 
-from chaincrane.kernel import NativeCrane, load_library
-from chaincrane.linear import LinearCrane
-from chaincrane.parameters import MASS_MATRICES, Crane, Initial, Numerics, Payload
+from chaincrane.plant.command import Command
+from chaincrane.plant.kernel import NativeCrane, load_library
+from chaincrane.plant.linear import LinearCrane
+from chaincrane.plant.parameters import MASS_MATRICES, Crane, Initial, Numerics, Payload
+from chaincrane_builder.compile_c import kernel_for_host
 from chaincrane_driver.compare import markdown_table
 
 PAYLOADS = {"heavy": 0.42, "light": 0.07}  # kg
@@ -35,7 +36,7 @@ def path(model: Any) -> np.ndarray:
     """Payload's positions over the paper's run, (400, 2), m."""
     rows = []
     for number in range(400):
-        model.step(SAMPLE, 0.8 if number < 100 else 0.0)
+        model.step(SAMPLE, Command(trolley_v_cmd=0.8 if number < 100 else 0.0))
         out = model.outputs()
         rows.append((out["payload.x"], out["payload.y"]))
     return np.array(rows)
@@ -44,7 +45,7 @@ def path(model: Any) -> np.ndarray:
 def main() -> None:
     """Print the table."""
     with tempfile.TemporaryDirectory() as scratch:
-        library = load_library(str(compile_kernel.compile_for_host(Path(scratch))))
+        library = load_library(str(kernel_for_host(Path(scratch))))
 
     def run(
         kind: str, payload: str, n: int, mass_matrix: str, step: float = FINE_STEP

@@ -19,7 +19,7 @@
 
 #include "fmi2Functions.h"
 #include "interface.h"
-#include "model.h"
+#include "crane.h"
 
 enum { LOOKED_AT = 7, PART = 1000, PARTS = 200 };
 
@@ -86,18 +86,18 @@ static void fmu_step(const Fmu *fmu, fmi2Component c, int i, const double *comma
     fmu->get_real(c, SEEN, LOOKED_AT, seen);
 }
 
-static ChainSettings chosen(const Fmu *fmu, fmi2Component c) {
-    double v[SETTABLE] = {0.0};
-    int elements;
-    const fmi2ValueReference whole = VR_CHAIN_ELEMENTS;
-    for (fmi2ValueReference i = 0; i < SETTABLE; i++)
-        if (VARIABLE[i].kind == REAL) fmu->get_real(c, &i, 1, &v[i]);
-    fmu->get_integer(c, &whole, 1, &elements);
-    return (ChainSettings){v[VR_CHAIN_LENGTH], v[VR_CHAIN_MASS], v[VR_CHAIN_EA],
-                           v[VR_PAYLOAD_MASS], v[VR_GRAVITY], v[VR_DAMPING_AIR],
-                           v[VR_DAMPING_CHAIN], v[VR_INITIAL_SPEED], v[VR_INITIAL_SWAY_ANGLE],
-                           v[VR_SOLVER_MAX_STEP], elements, CHAIN_ENERGY_MOMENTUM,
-                           CHAIN_CONSISTENT};
+/* The parameters as the FMU has them; of a String its first choice. */
+static Settings chosen(const Fmu *fmu, fmi2Component c) {
+    Settings settings = {0.0};
+    double *member = (double *)&settings;
+    for (fmi2ValueReference i = INPUTS; i < SETTABLE; i++) {
+        int whole;
+        if (VARIABLE[i].kind == REAL) fmu->get_real(c, &i, 1, &member[i - INPUTS]);
+        if (VARIABLE[i].kind != INTEGER) continue;
+        fmu->get_integer(c, &i, 1, &whole);
+        member[i - INPUTS] = whole;
+    }
+    return settings;
 }
 
 /* The least time of each part of a run, s. */
@@ -128,16 +128,16 @@ static void fmu_run(const Fmu *fmu, fmi2Component c, double (*commands)[INPUTS],
     end_part(parts, steps);
 }
 
-static void bare_run(const CraneModel *crane, void *memory, const ChainSettings *settings,
+static void bare_run(const CraneModel *crane, void *memory, const Settings *settings,
                      double (*commands)[INPUTS], int steps, int with_outputs, Parts *parts) {
-    double outputs[CHAIN_OUTPUTS];
-    ChainFailure failure;
+    Outputs outputs;
+    Failure failure;
     crane->create(memory, settings);
     for (int i = 0; i < steps; i++) {
-        const double *u = commands[i];
+        const Command *command = (const Command *)commands[i];
         if (i % PART == 0) end_part(parts, i);
-        if (crane->step(memory, H, u[0], u[1], u[2], &failure) != CHAIN_OK) fail("bare step");
-        if (with_outputs) crane->outputs(memory, outputs);
+        if (crane->step(memory, H, command, &failure) != DONE) fail("bare step");
+        if (with_outputs) crane->outputs(memory, &outputs);
     }
     end_part(parts, steps);
 }
@@ -193,8 +193,8 @@ int main(int count, char **arguments) {
             if (effort[1] > most_iterations) most_iterations = effort[1];
         }
         begin(&fmu, c, starts, arguments + 6);
-        ChainSettings settings = chosen(&fmu, c);
-        void *memory = malloc(crane->memory(settings.elements));
+        Settings settings = chosen(&fmu, c);
+        void *memory = malloc(crane->memory((int)settings.chain_elements));
         if (!memory) fail("no memory");
         fmu_run(&fmu, c, commands, steps, &whole);
         bare_run(crane, memory, &settings, commands, steps, 0, &alone);

@@ -25,12 +25,13 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src"), str(ROOT / "fmu_src" / "native")]
+sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src")]
 
-import compile_kernel
 
-from build_fmu import build_native, native_sources
-from chaincrane.interface import INPUTS, NAMES
+from chaincrane.plant.interface import INPUTS, NAMES
+from chaincrane_builder.compile_c import included, zig_library
+from chaincrane_builder.fmus import FMUS
+from chaincrane_builder.pack import build, native_sources
 from chaincrane_driver.compare import markdown_table
 from chaincrane_driver.scenario import find
 from chaincrane_driver.simulate import Job
@@ -62,19 +63,12 @@ class Bench:
 
     def __init__(self, model: str, folder: Path) -> None:
         self.folder = folder / model
-        fmu = build_native(model, self.folder)
+        fmu = build(model, self.folder)
         with zipfile.ZipFile(fmu) as archive:
             archive.extractall(self.folder)
-        sources, digest = native_sources(model)
-        (self.folder / "sources" / "no_startup.c").write_bytes(sources["no_startup.c"])
-        bare = {
-            "crane_nl_native": ["nonlinear_model.c", "chain_kernel.c"],
-            "crane_lin_native": ["linear_model.c"],
-        }[model]
-        flags = ["-DCHAIN_STATIC", "-fvisibility=default"]
-        content = compile_kernel.zig_library(
-            "linux64", self.folder / "sources", bare, "bare", flags
-        )
+        _, digest = native_sources(model)
+        bare = included(str(FMUS[model].crane))
+        content = zig_library("linux64", bare, "bare", ["-fvisibility=default"])
         (self.folder / "bare.so").write_bytes(content)
         source = str(Path(__file__).with_suffix(".c"))
         host = str(self.folder / "host")

@@ -29,14 +29,15 @@ from time import perf_counter
 from typing import Any
 
 SOURCES = Path(__file__).resolve().parents[1] / "fmu_src"
-sys.path[:0] = [str(SOURCES), str(SOURCES / "native")]
+sys.path.insert(0, str(SOURCES))
 
-import compile_kernel
 
 from chaincrane.errors import CraneError
-from chaincrane.interface import OUTPUTS
-from chaincrane.kernel import NativeCrane, load_library
-from chaincrane.parameters import SCHEMES, Chain, Crane, Initial, Numerics, Payload
+from chaincrane.plant.command import Command
+from chaincrane.plant.interface import OUTPUTS
+from chaincrane.plant.kernel import NativeCrane, load_library
+from chaincrane.plant.parameters import SCHEMES, Chain, Crane, Initial, Numerics, Payload
+from chaincrane_builder.compile_c import kernel_for_host
 
 ELEMENTS = (2, 5, 10, 20, 50)
 PAYLOADS = (0.01, 0.07, 0.42, 10.0)  # kg
@@ -132,7 +133,7 @@ def reach(case: Case) -> float:
 def kernel() -> Any:
     """The C kernel, compiled for this host, once in a process."""
     with tempfile.TemporaryDirectory() as scratch:
-        return load_library(str(compile_kernel.compile_for_host(Path(scratch))))
+        return load_library(str(kernel_for_host(Path(scratch))))
 
 
 def run(case: Case) -> Outcome:
@@ -149,7 +150,7 @@ def run(case: Case) -> Outcome:
     stop = round(STOP / case.step)
     for i in range(round(END / case.step)):
         try:
-            model.step(case.step, case.speed if i < stop else 0.0)
+            model.step(case.step, Command(trolley_v_cmd=case.speed if i < stop else 0.0))
         except CraneError as stopped:
             error = str(stopped)
             break

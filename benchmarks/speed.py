@@ -35,14 +35,15 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src"), str(ROOT / "fmu_src" / "native")]
+sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src")]
 
-import compile_kernel
 
-from chaincrane.chain import along_elements, axial_force, discretise, internal_force
-from chaincrane.kernel import NativeCrane, load_library
-from chaincrane.nonlinear import NonlinearCrane
-from chaincrane.parameters import Chain, Crane, Initial, Numerics
+from chaincrane.plant.chain import along_elements, axial_force, discretise, internal_force
+from chaincrane.plant.command import Command
+from chaincrane.plant.kernel import NativeCrane, load_library
+from chaincrane.plant.nonlinear import NonlinearCrane
+from chaincrane.plant.parameters import Chain, Crane, Initial, Numerics
+from chaincrane_builder.compile_c import kernel_for_host
 from chaincrane_driver.compare import markdown_table
 
 SPEED, STOP, END = 0.8, 1.0, 4.0  # m/s, s, s
@@ -79,7 +80,7 @@ def samples(model: Any) -> np.ndarray:
     """Payload's x and y relative to the trolley over the paper's run, (200, 2), m."""
     rows = []
     for number in range(round(END / SAMPLE)):
-        model.step(SAMPLE, SPEED if number * SAMPLE < STOP - 1e-9 else 0.0)
+        model.step(SAMPLE, Command(trolley_v_cmd=SPEED if number * SAMPLE < STOP - 1e-9 else 0.0))
         out = model.outputs()
         rows.append((out["payload.x_rel"], out["payload.y"]))
     return np.array(rows)
@@ -92,8 +93,8 @@ def distance(a: np.ndarray, b: np.ndarray) -> float:
 
 def paper_run(model: Any) -> None:
     """The paper's run in two calls: the cost of the internal steps, and of nothing else."""
-    model.step(STOP, SPEED)
-    model.step(END - STOP, 0.0)
+    model.step(STOP, Command(trolley_v_cmd=SPEED))
+    model.step(END - STOP)
 
 
 # --- ours -------------------------------------------------------------------------------------
@@ -273,7 +274,7 @@ def fmu_ratio(rounds: int) -> tuple[float, float]:
     from fmpy.fmi2 import FMU2Slave
     from pythonfmu.builder import FmuBuilder
 
-    from build_fmu import build
+    from chaincrane_builder.pack import build
 
     with tempfile.TemporaryDirectory() as scratch:
         Path(scratch, "nothing.py").write_text(NOTHING)
@@ -314,7 +315,7 @@ def cold_ratio(rounds: int) -> tuple[float, float]:
     """Time of ``fmpy simulate crane_nl.fmu``, s; its ratio to an FMU that only imports NumPy."""
     from pythonfmu.builder import FmuBuilder
 
-    from build_fmu import build
+    from chaincrane_builder.pack import build
 
     with tempfile.TemporaryDirectory() as scratch:
         Path(scratch, "idle.py").write_text("import numpy\n" + NOTHING.replace("Nothing", "Idle"))
@@ -339,10 +340,10 @@ def mesh_rows(library: Any, rounds: int) -> list[list[str]]:
     cranes = []
     for n in MESHES:
         crane = NativeCrane(Crane(), Initial(), Numerics(n, 1e-3), library=library)
-        crane.step(STOP, SPEED)
-        crane.step(0.5, 0.0)
+        crane.step(STOP, Command(trolley_v_cmd=SPEED))
+        crane.step(0.5)
         cranes.append(crane)
-    times = timed([lambda c=crane: c.step(0.1, 0.0) for crane in cranes], rounds)
+    times = timed([lambda c=crane: c.step(0.1) for crane in cranes], rounds)
     per_step = [statistics.median(mine) / 100 for mine in times]
     ten = per_step[MESHES.index(10)] / 10
     return [
@@ -415,7 +416,7 @@ def main() -> int:
     options = parser.parse_args()
 
     with tempfile.TemporaryDirectory() as scratch:
-        library = load_library(str(compile_kernel.compile_for_host(Path(scratch))))
+        library = load_library(str(kernel_for_host(Path(scratch))))
     points = our_points(library)
     try:
         points += mujoco_points(library)

@@ -2,19 +2,22 @@
 
 from typing import Any
 
-from chaincrane.antisway import AntiSway
-from chaincrane.antisway_interface import VARIABLES, settings
-from fmi_slave import FmiSlave, mend_import
+from chaincrane.requirements import require
+from fmi_slave import FmiSlave, Model, mend_import
+
+require("numpy", "scipy")
+from chaincrane.control.antisway import AntiSway, AntiSwayInput  # noqa: E402
+from chaincrane.control.antisway_interface import VARIABLES, settings  # noqa: E402
 
 
 class crane_antisway(FmiSlave):
     """A command for the trolley from a target and an estimate."""
 
     variables = VARIABLES
+    inputs = AntiSwayInput
 
-    @staticmethod
-    def make_model(parameters: dict[str, Any]) -> AntiSway:
-        """The model; raises CraneError for what is not allowed."""
+    def make_model(self, parameters: dict[str, Any]) -> Model:
+        """The controller; raises CraneError for what is not allowed."""
         return AntiSway(settings(parameters))
 
 

@@ -2,18 +2,20 @@
 
 from typing import Any
 
-from chaincrane.interface import VARIABLES, settings
+from chaincrane.plant.command import Command
+from chaincrane.plant.interface import VARIABLES, settings
 from chaincrane.requirements import require
 from fmi_slave import FmiSlave, Model, mend_import
 
 require("numpy")
-from chaincrane.linear import LinearCrane  # noqa: E402
+from chaincrane.plant.linear import LinearCrane  # noqa: E402
 
 
 class crane_lin(FmiSlave):
     """Overhead crane with a flexible chain, linear (Maourane & Szabo 2020, section 2.2)."""
 
     variables = VARIABLES
+    inputs = Command
 
     def make_model(self, parameters: dict[str, Any]) -> Model:
         """The linear crane; raises CraneError for what is not allowed."""

@@ -8,8 +8,9 @@ from typing import Any
 
 from pythonfmu.enums import Fmi2Status
 
-from chaincrane import kernel
-from chaincrane.interface import VARIABLES, settings
+from chaincrane.plant import kernel
+from chaincrane.plant.command import Command
+from chaincrane.plant.interface import VARIABLES, settings
 from chaincrane.requirements import require
 from fmi_slave import FmiSlave, Model, mend_import
 
@@ -18,13 +19,14 @@ try:  # now, and once in a process: the folder of an FMU that is loaded later ma
 except kernel.KernelMissing as error:
     LIBRARY, MISSING = None, str(error)
     require("numpy", "scipy")
-    from chaincrane.nonlinear import NonlinearCrane
+    from chaincrane.plant.nonlinear import NonlinearCrane
 
 
 class crane_nl(FmiSlave):
     """Overhead crane with a flexible chain, nonlinear (Maourane & Szabo 2020, section 2.1)."""
 
     variables = VARIABLES
+    inputs = Command
     _warned = False
 
     def make_model(self, parameters: dict[str, Any]) -> Model:

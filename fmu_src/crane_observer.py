@@ -2,19 +2,22 @@
 
 from typing import Any
 
-from chaincrane.observer import CraneObserver
-from chaincrane.observer_interface import VARIABLES, settings
-from fmi_slave import FmiSlave, mend_import
+from chaincrane.requirements import require
+from fmi_slave import FmiSlave, Model, mend_import
+
+require("numpy", "scipy")
+from chaincrane.control.observer import CraneObserver, ObserverInput  # noqa: E402
+from chaincrane.control.observer_interface import VARIABLES, settings  # noqa: E402
 
 
 class crane_observer(FmiSlave):
     """A steady-state Kalman filter on the linear crane."""
 
     variables = VARIABLES
+    inputs = ObserverInput
 
-    @staticmethod
-    def make_model(parameters: dict[str, Any]) -> CraneObserver:
-        """The model; raises CraneError for what is not allowed."""
+    def make_model(self, parameters: dict[str, Any]) -> Model:
+        """The observer; raises CraneError for what is not allowed."""
         return CraneObserver(settings(parameters))
 
 

@@ -48,8 +48,8 @@ class Model(Protocol):
 
     start_time: float  # s, the host's; only for messages
 
-    def step(self, h: float, *inputs: float) -> None:
-        """Advance by ``h`` s under held inputs; raises CraneError, the state unchanged."""
+    def step(self, h: float, told: Any) -> None:
+        """Advance by ``h`` s under the slave's ``inputs``; raises CraneError, state unchanged."""
 
     def output_values(self) -> list[Any]:
         """Outputs in the interface's order."""
@@ -61,13 +61,14 @@ class Model(Protocol):
         """Restore what :meth:`save` gave."""
 
 
-class FmiSlave(Fmi2Slave):
+class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     """Base of our slaves; a subclass says which interface it has and which model it runs.
 
     A variable's value reference is its place in ``variables``: inputs, parameters, then outputs.
     """
 
     variables: tuple[Variable, ...]
+    inputs: type  # a dataclass with a field for each input, the name of which is the row's symbol
 
     def make_model(self, parameters: dict[str, Any]) -> Model:
         """The model for parameter values by name; raises CraneError for what is not allowed."""
@@ -82,6 +83,7 @@ class FmiSlave(Fmi2Slave):
             for causality in ("input", "parameter", "output")
         )
         self._first_output = outputs[0]
+        self._told = [(place, self.variables[place].symbol) for place in self._inputs]
         self._of_kind = {
             kind: frozenset(place for place, variable in places if variable.kind == kind)
             for kind in ("Real", "Integer", "String", "Boolean")
@@ -155,7 +157,9 @@ class FmiSlave(Fmi2Slave):
         if not abs(current_time - self._time) <= TIME_TOLERANCE * max(1.0, abs(self._time)):
             allowed = f"the time reached, {self._time!r} s"
             raise BadValue("current communication point", current_time, allowed)
-        self._model.step(step_size, *(self._values[place] for place in self._inputs))
+        values = self._values
+        told = self.inputs(**{symbol: values[place] for place, symbol in self._told})
+        self._model.step(step_size, told)
         self._time = current_time + step_size
         self._observed = False
 

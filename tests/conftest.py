@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-# what is not in a package: build_fmu.py, compile_kernel.py, benchmarks
-sys.path[:0] = [str(ROOT / folder) for folder in (".", "fmu_src/native", "benchmarks")]
+# what is not in a package: build_fmu.py, benchmarks
+sys.path[:0] = [str(ROOT / folder) for folder in (".", "benchmarks")]
 
-from compile_kernel import compile_for_host  # noqa: E402
-
-from build_fmu import MODELS, NATIVE_MODELS, build, build_native  # noqa: E402
-from chaincrane.kernel import load_library  # noqa: E402
+from chaincrane.plant.kernel import load_library  # noqa: E402
+from chaincrane_builder.compile_c import kernel_for_host  # noqa: E402
+from chaincrane_builder.fmus import MODELS, NATIVE_MODELS  # noqa: E402
+from chaincrane_builder.pack import build  # noqa: E402
 
 STOP_AT = 1.0  # s, when the paper's trolley stops
 SPEED = 0.8  # m/s, until then
@@ -39,8 +39,15 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The C kernel, compiled for this machine as the FMU's is."""
-    return load_library(str(compile_for_host(tmp_path_factory.mktemp("native"))))
+    """The nonlinear crane's kernel, compiled for this machine as the FMU's is."""
+    return load_library(str(kernel_for_host(tmp_path_factory.mktemp("kernel"))))
+
+
+@pytest.fixture(scope="session")
+def linear_library(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The linear crane in C, as a kernel."""
+    folder = tmp_path_factory.mktemp("linear_kernel")
+    return load_library(str(kernel_for_host(folder, "linear.c")))
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +55,7 @@ def native_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of crane_nl_native.fmu and crane_lin_native.fmu."""
     folder = tmp_path_factory.mktemp("native_fmus")
     for model in NATIVE_MODELS:
-        build_native(model, folder)
+        build(model, folder)
     return folder
 
 

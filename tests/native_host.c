@@ -34,6 +34,7 @@ __declspec(dllimport) unsigned long __stdcall WaitForSingleObject(void *thread, 
 
 #include "fmi2Functions.h"
 #include "interface.h"
+#include "twins.h"
 
 enum { THREADS = 8, MODELS = 2, STEPS = 800, SEEN = 3, LOG_SIZE = 1024 };
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from chaincrane.chain import (
+from chaincrane.plant.chain import (
     along_elements,
     axial_force,
     discretise,
@@ -14,8 +14,8 @@ from chaincrane.chain import (
     kinetic_energy,
     mass_times,
 )
-from chaincrane.energy_momentum import corrected, element_force, turned
-from chaincrane.parameters import MASS_MATRICES, Chain, Crane, Payload
+from chaincrane.plant.energy_momentum import corrected, element_force, turned
+from chaincrane.plant.parameters import MASS_MATRICES, Chain, Crane, Payload
 
 MU, L0, EA = 0.275, 0.08, 7.357e6
 

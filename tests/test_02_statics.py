@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from chaincrane.chain import (
+from chaincrane.plant.chain import (
     along_elements,
     axial_force,
     discretise,
@@ -12,9 +12,10 @@ from chaincrane.chain import (
     interpolation,
     straight_chain,
 )
-from chaincrane.linear import LinearCrane
-from chaincrane.nonlinear import NonlinearCrane
-from chaincrane.parameters import Chain, Crane, Initial, Numerics, Payload
+from chaincrane.plant.command import Command
+from chaincrane.plant.linear import LinearCrane
+from chaincrane.plant.nonlinear import NonlinearCrane
+from chaincrane.plant.parameters import Chain, Crane, Initial, Numerics, Payload
 
 SOFT = Crane(chain=Chain(EA=200.0))  # stretches by centimetres
 
@@ -85,7 +86,10 @@ def test_mirrored_motion_is_mirrored(scheme: str) -> None:
     for sign in (1.0, -1.0):
         crane = NonlinearCrane(initial=Initial(speed=sign * 0.8), numerics=Numerics(scheme=scheme))
         for _ in range(200):
-            crane.step(1e-3, v_cmd=sign * 0.1, a_cmd=sign * 0.3, payload_fx=sign * 0.2)
+            crane.step(
+                1e-3,
+                Command(trolley_v_cmd=sign * 0.1, trolley_a_cmd=sign * 0.3, payload_fx=sign * 0.2),
+            )
         ends.append(crane.outputs())
     for name in ("payload.x", "payload.vx", "trolley.fx", "chain.top_angle"):
         assert ends[0][name] == -ends[1][name], name

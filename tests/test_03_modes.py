@@ -7,15 +7,16 @@ from conftest import PAYLOADS
 from scipy.optimize import brentq
 from scipy.special import jv, yv
 
-from chaincrane.chain import along_elements, discretise, element_tangent
-from chaincrane.linear import (
+from chaincrane.plant.chain import along_elements, discretise, element_tangent
+from chaincrane.plant.command import Command
+from chaincrane.plant.linear import (
     LinearCrane,
     mass_matrix,
     modes,
     state_space,
     stiffness_matrix,
 )
-from chaincrane.parameters import MASS_MATRICES, Crane, Damping, Initial, Numerics, Payload
+from chaincrane.plant.parameters import MASS_MATRICES, Crane, Damping, Initial, Numerics, Payload
 
 
 def bessel_frequencies(crane: Crane, count: int) -> list[float]:
@@ -120,7 +121,7 @@ def test_the_exact_step_is_the_matrix_exponential_of_the_state_space(air: float)
     state[2 * n : 2 * n + 2] = a_cmd, fx
     state = scipy.linalg.expm(h * big) @ state
     crane_model = LinearCrane(crane, Initial(speed=0.0), Numerics(elements=n))
-    crane_model.step(h, 0.0, a_cmd, fx)
+    crane_model.step(h, Command(trolley_a_cmd=a_cmd, payload_fx=fx))
     x_rel, mid = (system.C[:2] @ state[: 2 * n]).tolist()
     out = crane_model.outputs()
     assert out["payload.x_rel"] == pytest.approx(x_rel, rel=1e-11)

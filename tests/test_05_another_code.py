@@ -5,8 +5,8 @@ import pytest
 import speed
 from conftest import PAYLOADS
 
-from chaincrane.nonlinear import NonlinearCrane
-from chaincrane.parameters import Crane, Initial, Numerics, Payload
+from chaincrane.plant.nonlinear import NonlinearCrane
+from chaincrane.plant.parameters import Crane, Initial, Numerics, Payload
 
 mujoco = pytest.importorskip("mujoco", reason="pip install -e '.[benchmark]'")
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from chaincrane.linear import LinearCrane
-from chaincrane.nonlinear import NonlinearCrane
-from chaincrane.parameters import Crane, Damping, Initial, Numerics
+from chaincrane.plant.command import Command
+from chaincrane.plant.linear import LinearCrane
+from chaincrane.plant.nonlinear import NonlinearCrane
+from chaincrane.plant.parameters import Crane, Damping, Initial, Numerics
 
 
 def largest_difference(angle: float) -> float:
@@ -44,7 +45,7 @@ def test_a_small_push_moves_both_alike() -> None:
     seen: list[list[list[float]]] = [[], []]
     for i in range(200):
         for crane, rows in zip(cranes, seen, strict=True):
-            crane.step(5e-3, payload_fx=1e-3 if i < 40 else 0.0)
+            crane.step(5e-3, Command(payload_fx=1e-3 if i < 40 else 0.0))
             out = crane.outputs()
             rows.append([out[name] for name in names])
     linear, nonlinear = np.array(seen[0]), np.array(seen[1])

@@ -12,11 +12,12 @@ import scipy.linalg
 from conftest import PAYLOADS, SPEED, STOP_AT, paper_motion
 from fmpy.validation import validate_fmu
 
-from chaincrane.chain import discretise, hanging_tension
-from chaincrane.interface import PARAMETERS
-from chaincrane.kernel import NativeCrane
-from chaincrane.linear import LinearCrane
-from chaincrane.parameters import Chain, Crane, Damping, Initial, Numerics, Payload
+from chaincrane.plant.chain import discretise, hanging_tension
+from chaincrane.plant.command import Command
+from chaincrane.plant.interface import PARAMETERS
+from chaincrane.plant.kernel import NativeCrane
+from chaincrane.plant.linear import LinearCrane
+from chaincrane.plant.parameters import Chain, Crane, Damping, Initial, Numerics, Payload
 from chaincrane_driver.processes import simulate_all
 from chaincrane_driver.simulate import Job
 
@@ -158,7 +159,7 @@ def test_fmu_is_the_model(fmus: Path, library: Any, model: str) -> None:
         for name, value in crane.outputs().items():
             assert result[name][row] == value, (row, name)
         if row == 0:
-            crane.step(0.5, 0.1, 0.2, 0.3)
+            crane.step(0.5, Command(trolley_v_cmd=0.1, trolley_a_cmd=0.2, payload_fx=0.3))
 
 
 def test_chain_points_do_not_depend_on_the_mesh(fmus: Path) -> None:

@@ -18,10 +18,10 @@ from xml.etree import ElementTree
 import pytest
 from conftest import ROOT, in_fresh_process
 
-from build_fmu import build, read_sources
-from chaincrane.interface import OUTPUTS, VARIABLES, settings
-from chaincrane.linear import LinearCrane
-from chaincrane.nonlinear import NonlinearCrane
+from chaincrane.plant.interface import OUTPUTS, VARIABLES, settings
+from chaincrane.plant.linear import LinearCrane
+from chaincrane.plant.nonlinear import NonlinearCrane
+from chaincrane_builder.pack import build, imported
 
 MODELS = ("crane_nl", "crane_lin")
 both = pytest.mark.parametrize("model", MODELS)
@@ -33,9 +33,9 @@ both = pytest.mark.parametrize("model", MODELS)
 def _load_together(earth: str, moon: str, other: str) -> list[float]:
     from slave_host import Host
 
-    import chaincrane.parameters  # the host has the package too, and another one
+    import chaincrane.plant.parameters  # the host has the package too, and another one
 
-    chaincrane.parameters.Chain.length = 99.0
+    chaincrane.plant.parameters.Chain.length = 99.0
     hosts = [Host(fmu, initial__sway_angle=0.1) for fmu in (earth, moon, other)]
     for host in hosts:
         host.run(30)
@@ -51,9 +51,9 @@ def _alone(fmu: str) -> float:
 
 
 def test_two_builds_and_two_models_each_run_their_own_code(fmus: Path, tmp_path: Path) -> None:
-    sources = read_sources("crane_nl")
-    name = "chaincrane/parameters.py"
-    changed = sources[name].replace(b"gravity: float = 9.81", b"gravity: float = 1.62")
+    sources = imported("crane_nl")
+    name = "chaincrane/plant/parameters.py"
+    changed = sources[name].replace(b'"m/s2", 9.81', b'"m/s2", 1.62')
     assert changed != sources[name]
     moon = build("crane_nl", tmp_path, sources | {name: changed})
     files = [str(fmus / "crane_nl.fmu"), str(moon), str(fmus / "crane_lin.fmu")]
@@ -624,7 +624,7 @@ def test_entries_are_sorted_compressed_and_clean(fmus: Path) -> None:
 
 
 def test_the_fmu_says_which_sources_it_came_from(fmus: Path, tmp_path: Path) -> None:
-    sources = read_sources("crane_lin")
+    sources = imported("crane_lin")
     changed = build(
         "crane_lin", tmp_path, sources | {"crane_lin.py": sources["crane_lin.py"] + b"#\n"}
     )

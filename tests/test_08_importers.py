@@ -17,7 +17,7 @@ import pytest
 from conftest import PAYLOADS, SPEED, STOP_AT, paper_motion
 from importers.case import Case
 
-from chaincrane.interface import OUTPUTS
+from chaincrane.plant.interface import OUTPUTS
 from chaincrane_driver.processes import simulate_all
 from chaincrane_driver.simulate import Job
 from chaincrane_driver.tables import read_table

@@ -23,11 +23,12 @@ from fmpy.validation import validate_fmu
 from native_speed import Bench
 from test_08_hosts import _fuzz, _resets
 
-from build_fmu import build_native
-from chaincrane.interface import OUTPUTS
-from chaincrane.kernel import NativeCrane
-from chaincrane.linear import LinearCrane
-from chaincrane.parameters import Crane, Damping, Initial, Numerics, Payload
+from chaincrane.plant.command import Command
+from chaincrane.plant.interface import OUTPUTS
+from chaincrane.plant.kernel import NativeCrane
+from chaincrane.plant.linear import LinearCrane
+from chaincrane.plant.parameters import Crane, Damping, Initial, Numerics, Payload
+from chaincrane_builder.pack import build
 from chaincrane_driver.cli import main
 from chaincrane_driver.processes import simulate_all
 from chaincrane_driver.scenario import find
@@ -130,12 +131,16 @@ def test_linear_crane_in_c_is_the_numpy_model(
         Initial(0.8, 0.2),
         Numerics(elements, mass_matrix=kind),
     )
-    commands = [(0.8, 0, 0), (0, -0.3, 2), (0.2, 0, 0)]
+    commands = [
+        Command(trolley_v_cmd=0.8),
+        Command(trolley_a_cmd=-0.3, payload_fx=2.0),
+        Command(trolley_v_cmd=0.2),
+    ]
     for step, row in enumerate(result):
         for name, value in crane.outputs().items():
             assert abs(row[name] - value) <= within(name), (step, name)
         if step < 600:
-            crane.step(0.005, *commands[(step >= 100) + (step >= 300)])
+            crane.step(0.005, commands[(step >= 100) + (step >= 300)])
 
 
 def _many_elements(fmu: str, elements: int) -> list[float]:
@@ -429,7 +434,7 @@ def test_the_xml_says_what_the_native_fmu_can(native_fmus: Path, fmus: Path, mod
 
 
 def test_the_same_sources_give_the_same_bytes(native_fmus: Path, tmp_path: Path) -> None:
-    again = build_native("crane_lin_native", tmp_path)
+    again = build("crane_lin_native", tmp_path)
     assert again.read_bytes() == (native_fmus / again.name).read_bytes()
 
 
@@ -521,7 +526,8 @@ def _push_and_brake(fmu: str) -> list[float]:
 def test_the_fmu_is_the_kernel_bit_for_bit(native_fmus: Path, library: Any) -> None:
     crane = NativeCrane(Crane(payload=Payload(0.07)), library=library)
     for step in range(200):
-        crane.step(0.01, 0.8, *((0.0, 0.0) if step < 100 else (-0.5, 0.2)))
+        pushed = {} if step < 100 else {"trolley_a_cmd": -0.5, "payload_fx": 0.2}
+        crane.step(0.01, Command(trolley_v_cmd=0.8, **pushed))
     ours = in_fresh_process(_push_and_brake, str(native_fmus / "crane_nl_native.fmu"))
     assert ours == crane.output_values()[: len(ours)]
 

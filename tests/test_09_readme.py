@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
-from chaincrane.interface import VARIABLES
+from chaincrane.plant.interface import VARIABLES
 from chaincrane_driver import cli, scenario
 from chaincrane_driver.compare import difference
 
@@ -103,8 +103,8 @@ def test_every_equation_has_its_function_and_test() -> None:
             continue
         assert f"def {test.strip('`')}(" in tests, test
         for function in functions.replace("`", "").split(", "):
-            module, *path = function.split(".")
-            place = importlib.import_module(f"chaincrane.{module}")
+            room, module, *path = function.split(".")
+            place = importlib.import_module(f"chaincrane.{room}.{module}")
             for part in path:
                 place = getattr(place, part)
             found += 1

@@ -12,13 +12,19 @@ import scipy.linalg
 from conftest import PAYLOADS, in_fresh_process
 from fmpy.validation import validate_fmu
 
-from chaincrane import kalman, observer_interface
-from chaincrane.chain import discretise
+from chaincrane.control import kalman, observer_interface
+from chaincrane.control.observer import (
+    AssumedNoise,
+    CraneObserver,
+    ObserverInput,
+    ObserverSettings,
+)
+from chaincrane.control.sensor import Camera, Clock, Rope, normal
 from chaincrane.errors import BadValue
-from chaincrane.linear import LinearCrane, TautString, state_space
-from chaincrane.observer import AssumedNoise, CraneObserver, ObserverSettings
-from chaincrane.parameters import Crane, Damping, Initial, Numerics, Payload
-from chaincrane.sensor import Sensor, normal
+from chaincrane.plant.chain import discretise
+from chaincrane.plant.command import IDLE, Command
+from chaincrane.plant.linear import LinearCrane, TautString, state_space
+from chaincrane.plant.parameters import Crane, Damping, Initial, Numerics, Payload
 from chaincrane_driver.loop import CRANE, OBSERVER, Loop, column
 from chaincrane_driver.processes import simulate_all
 
@@ -30,11 +36,19 @@ def at_rest(**changes: Any) -> ObserverSettings:
     return ObserverSettings(**({"crane": LIGHT, "speed": 0.0} | changes))
 
 
-def follow(watch: CraneObserver, crane: LinearCrane, h: float, *commands: float) -> None:
+def follow(watch: CraneObserver, crane: LinearCrane, h: float, command: Command = IDLE) -> None:
     """One step of both, the observer seeing the crane as it was at the step's start."""
     seen = crane.outputs()
-    crane.step(h, *commands)
-    watch.step(h, *commands[:2], seen["payload.x_rel"], seen["chain.top_angle"])
+    crane.step(h, command)
+    watch.step(
+        h,
+        ObserverInput(
+            trolley_v_cmd=command.trolley_v_cmd,
+            trolley_a_cmd=command.trolley_a_cmd,
+            camera_x_rel=seen["payload.x_rel"],
+            rope_top_angle=seen["chain.top_angle"],
+        ),
+    )
 
 
 # --- equations ---------------------------------------------------------------------------------
@@ -95,10 +109,11 @@ def test_between_samples_it_is_the_linear_crane(h: float) -> None:
     crane = replace(LIGHT, damping=Damping(0.3))
     truth = LinearCrane(crane, Initial(0.4, 0.0), Numerics(elements=3))
     watch = CraneObserver(
-        ObserverSettings(crane, 0.4, elements=3, rope=Sensor(sample_time=0.03, delay=99.0))
+        ObserverSettings(crane, speed=0.4, elements=3, clock=Clock(0.03, delay=99.0))
     )
     for number in range(round(2.0 / h)):
-        follow(watch, truth, h, 0.4 if number * h < 0.7 else -0.1, 0.2)
+        v = 0.4 if number * h < 0.7 else -0.1
+        follow(watch, truth, h, Command(trolley_v_cmd=v, trolley_a_cmd=0.2))
     seen, expected = watch.outputs(), truth.outputs()
     for name in set(seen) & set(expected):
         assert abs(seen[name] - expected[name]) < 1e-12, name
@@ -111,9 +126,10 @@ def test_the_communication_step_does_not_matter(delay: float) -> None:
     ends = []
     for h in (0.01, 0.004):
         truth = LinearCrane(LIGHT, Initial(0.0, 0.1), Numerics(elements=2))
-        watch = CraneObserver(at_rest(rope=Sensor(sample_time=0.02, noise=0.01, delay=delay)))
+        watch = CraneObserver(at_rest(clock=Clock(0.02, delay), rope=Rope(0.01)))
         for number in range(round(2.0 / h)):
-            follow(watch, truth, h, 0.0, 0.5 if number * h < 1.0 - 1e-9 else -0.3)
+            a = 0.5 if number * h < 1.0 - 1e-9 else -0.3
+            follow(watch, truth, h, Command(trolley_a_cmd=a))
         assert watch.outputs()["sensor.samples"] == 100 - round(delay > 0.0)
         ends.append([watch.outputs()[name] for name in ESTIMATED])
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-12)
@@ -125,8 +141,9 @@ def test_inputs_of_the_steps_end_are_taken_so() -> None:
     watch = CraneObserver(at_rest(inputs_at="end", noise=AssumedNoise(rope=1e-3)))
     for number in range(6000):
         a = 0.5 if number < 100 else 0.0
-        truth.step(0.01, 0.0, a)
-        watch.step(0.01, 0.0, a, 0.0, truth.outputs()["chain.top_angle"])
+        truth.step(0.01, Command(trolley_a_cmd=a))
+        angle = truth.outputs()["chain.top_angle"]
+        watch.step(0.01, ObserverInput(trolley_a_cmd=a, rope_top_angle=angle))
     for name in ("payload.x_rel", "chain.mid_x_rel", "chain.top_angle"):
         assert abs(watch.outputs()[name] - truth.outputs()[name]) < 1e-9, name
 
@@ -135,7 +152,7 @@ def test_a_step_longer_than_the_sample_time_has_its_own_gain() -> None:
     truth = LinearCrane(LIGHT, Initial(0.0, 0.1), Numerics(elements=2))
     watch = CraneObserver(at_rest(noise=AssumedNoise(rope=1e-3)))
     for _ in range(1000):
-        follow(watch, truth, 0.05, 0.0, 0.0)
+        follow(watch, truth, 0.05)
     assert watch.estimate.interval == 0.05
     assert watch.outputs()["sensor.samples"] == 1000
     assert abs(watch.outputs()["payload.x_rel"] - truth.outputs()["payload.x_rel"]) < 1e-9
@@ -143,9 +160,9 @@ def test_a_step_longer_than_the_sample_time_has_its_own_gain() -> None:
 
 def test_a_late_sample_converges_too() -> None:
     truth = LinearCrane(LIGHT, Initial(0.0, 0.1), Numerics(elements=2))
-    watch = CraneObserver(at_rest(rope=Sensor(delay=0.123), noise=AssumedNoise(rope=1e-3)))
+    watch = CraneObserver(at_rest(clock=Clock(delay=0.123), noise=AssumedNoise(rope=1e-3)))
     for number in range(6000):
-        follow(watch, truth, 0.01, 0.0, 0.5 if number < 100 else 0.0)
+        follow(watch, truth, 0.01, Command(trolley_a_cmd=0.5 if number < 100 else 0.0))
     for name in ("payload.x_rel", "chain.mid_x_rel", "chain.top_angle"):
         assert abs(watch.outputs()[name] - truth.outputs()[name]) < 1e-9, name
 
@@ -153,7 +170,7 @@ def test_a_late_sample_converges_too() -> None:
 def test_bias_is_what_it_says() -> None:
     """A camera that is 3 mm off, and that alone is believed, ends 3 mm off."""
     sure = AssumedNoise(camera=1e-6)
-    watch = CraneObserver(at_rest(sensor="camera", noise=sure, camera=Sensor(bias=0.003)))
+    watch = CraneObserver(at_rest(sensor="camera", noise=sure, camera=Camera(bias=0.003)))
     for _ in range(300):
         watch.step(0.01)
     assert watch.outputs()["payload.x_rel"] == pytest.approx(0.003, abs=1e-5)
@@ -161,23 +178,24 @@ def test_bias_is_what_it_says() -> None:
 
 def test_a_rope_beyond_the_horizontal_is_left_out() -> None:
     watch = CraneObserver(at_rest())
-    watch.step(0.01, 0.0, 0.0, 0.0, 1.7)
+    watch.step(0.01, ObserverInput(rope_top_angle=1.7))
     assert watch.outputs()["sensor.samples"] == 0
-    watch.step(0.01, 0.0, 0.0, 0.0, 0.1)
+    watch.step(0.01, ObserverInput(rope_top_angle=0.1))
     assert watch.outputs()["sensor.samples"] == 1
 
 
 def test_a_saved_observer_runs_on_with_the_same_bits() -> None:
     """Samples on their way and commands since the last one are in the state."""
-    settings = at_rest(rope=Sensor(noise=0.01, delay=0.034, seed=5))
+    settings = at_rest(clock=Clock(delay=0.034, seed=5), rope=Rope(0.01))
     one, other = CraneObserver(settings), CraneObserver(settings)
     for number in range(57):
-        one.step(0.01, 0.1, 0.3, 0.0, 0.01 * number)
+        told = ObserverInput(trolley_v_cmd=0.1, trolley_a_cmd=0.3, rope_top_angle=0.01 * number)
+        one.step(0.01, told)
     assert one.estimate.coming and one.estimate.since
     other.load(one.save())
     for watch in (one, other):
         for number in range(40):
-            watch.step(0.007, 0.0, -0.2, 0.0, 0.002 * number)
+            watch.step(0.007, ObserverInput(trolley_a_cmd=-0.2, rope_top_angle=0.002 * number))
     assert one.save() == other.save()
     assert one.output_values() == other.output_values()
 
@@ -192,7 +210,7 @@ def test_the_covariance_is_that_of_the_samples(sensor: str) -> None:
     The filter forgets within a second, so 400 s are some hundred independent errors.
     """
     assumed = AssumedNoise(camera=5e-4, rope=2e-3, payload=1.0, trolley=0.3)
-    readings = {"camera": Sensor(noise=5e-4), "rope": Sensor(noise=2e-3)}
+    readings = {"camera": Camera(5e-4), "rope": Rope(2e-3)}
     watch = CraneObserver(at_rest(sensor=sensor, noise=assumed, **readings))
     truth = LinearCrane(LIGHT, Initial(0.0), Numerics(elements=2))
     omega, h = watch.string.modes.omega, 0.01
@@ -203,8 +221,10 @@ def test_the_covariance_is_that_of_the_samples(sensor: str) -> None:
         eta = truth._motion.eta
         shown = float(watch.c[:2] @ (omega * eta))  # what the sensor sees: m, or a slope
         pushed, shaken = generator.standard_normal(2)
-        truth.step(h, 0.0, assumed.trolley * shaken, force * pushed)
-        watch.step(h, 0.0, 0.0, shown, float(np.arctan(shown)))
+        disturbed = Command(trolley_a_cmd=assumed.trolley * shaken, payload_fx=force * pushed)
+        truth.step(h, disturbed)
+        seen = ObserverInput(camera_x_rel=shown, rope_top_angle=float(np.arctan(shown)))
+        watch.step(h, seen)
         motion, guess = truth._motion, watch.estimate.now
         off = np.append(omega * (guess.eta - motion.eta), guess.rate - motion.rate)
         rows.append(off)
@@ -345,9 +365,15 @@ def test_bad_settings_are_refused_clearly(fmus: Path) -> None:
 def test_bad_inputs_leave_the_observer() -> None:
     watch = CraneObserver(at_rest())
     before = watch.save()
-    for bad in ((0.01, float("nan")), (0.01, 0.0, 0.0, float("inf")), (-0.01,), (0.0,)):
+    bad: list[tuple[float, dict[str, float]]] = [
+        (0.01, {"trolley_v_cmd": float("nan")}),
+        (0.01, {"camera_x_rel": float("inf")}),
+        (-0.01, {}),
+        (0.0, {}),
+    ]
+    for h, told in bad:
         with pytest.raises(BadValue, match="is not allowed"):
-            watch.step(*bad)
+            watch.step(h, ObserverInput(**told))
     assert watch.save() == before
 
 
@@ -412,7 +438,7 @@ def _initial(fmu: str, changes: dict[str, Any]) -> dict[str, list[str]]:
 
 def test_initial_dependencies_are_declared(fmus: Path) -> None:
     """What a start value changes before the first step is what the XML says, or less."""
-    import model_description
+    from chaincrane_builder.fmus import FMUS
 
     changes: dict[str, Any] = {
         v.name: v.start * 1.3 + 0.01
@@ -424,6 +450,7 @@ def test_initial_dependencies_are_declared(fmus: Path) -> None:
     assert set(changes) == {v.name for v in observer_interface.PARAMETERS}
     found = in_fresh_process(_initial, str(fmus / "crane_observer.fmu"), changes)
     for name, parameters in found.items():
-        declared = model_description.FMUS["crane_observer"].initial_dependencies(name)
+        row = next(row for row in observer_interface.OUTPUTS if row.name == name)
+        declared = FMUS["crane_observer"].starts_from(row)
         assert set(parameters) <= set(declared), name
         assert parameters or not declared or name == "sensor.samples", name

@@ -19,8 +19,9 @@ from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chaincrane.antisway import (
+from chaincrane.control.antisway import (
     AntiSway,
+    AntiSwayInput,
     AntiSwaySettings,
     Limits,
     Scales,
@@ -31,9 +32,10 @@ from chaincrane.antisway import (
     velocity_gained,
     zv_shaped,
 )
-from chaincrane.chain import discretise
-from chaincrane.linear import LinearCrane, TautString
-from chaincrane.parameters import Crane, Damping, Initial, Numerics, Payload
+from chaincrane.plant.chain import discretise
+from chaincrane.plant.command import Command
+from chaincrane.plant.linear import LinearCrane, TautString
+from chaincrane.plant.parameters import Crane, Damping, Initial, Numerics, Payload
 from chaincrane_driver import study
 from chaincrane_driver.antisway import Setup, measure
 from chaincrane_driver.errors import UserError
@@ -56,8 +58,8 @@ def test_the_design_model_is_the_linear_crane(air: float) -> None:
     crane = Crane(payload=Payload(LIGHT), damping=Damping(air))
     truth = LinearCrane(crane, Initial(0.0), Numerics(elements=2))
     Ad, Bd = discretised(*design_model(truth.string, 2), 0.3)
-    truth.step(0.3, 0.0, 0.4)
-    truth.step(0.3, 0.0, -0.7)
+    truth.step(0.3, Command(trolley_a_cmd=0.4))
+    truth.step(0.3, Command(trolley_a_cmd=-0.7))
     x = Ad @ (Bd[:, 0] * 0.4) - Bd[:, 0] * 0.7
     seen = truth.outputs()
     assert x[0] == pytest.approx(seen["trolley.x"], abs=1e-12)
@@ -141,7 +143,16 @@ def test_limits_hold_exactly_whatever_comes_in(
     x = v = a = 0.0
     for number in range(300):
         shaken = [value * np.cos(number) for value in sway]
-        control.step(h, targets[number * len(targets) // 300], x, v, *shaken)
+        told = AntiSwayInput(
+            target_x=targets[number * len(targets) // 300],
+            trolley_x=x,
+            trolley_v=v,
+            mode_x_rel_1=shaken[0],
+            mode_x_rel_2=shaken[1],
+            mode_vx_rel_1=shaken[2],
+            mode_vx_rel_2=shaken[3],
+        )
+        control.step(h, told)
         x, v = x + h * v + 0.5 * h * h * a, v + h * a
         a = control.outputs()["trolley.a_cmd"]
         assert abs(v) <= limits.velocity
@@ -153,7 +164,7 @@ def test_open_loop_takes_the_next_target_after_the_move() -> None:
     x = v = a = 0.0
     for number in range(1500):
         target = 1.0 if number < 50 else 0.4
-        control.step(0.01, target, x, v, 0.0, 0.0, 0.0, 0.0)
+        control.step(0.01, AntiSwayInput(target_x=target, trolley_x=x, trolley_v=v))
         x, v = x + 0.01 * v + 0.5e-4 * a, v + 0.01 * a
         a = control.outputs()["trolley.a_cmd"]
     assert (x, v, a) == pytest.approx((0.4, 0.0, 0.0), abs=1e-9)

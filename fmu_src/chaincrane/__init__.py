@@ -1,6 +1,5 @@
-"""Models of an overhead crane with a flexible chain: nonlinear, and linear with the same interface.
+"""An overhead crane with a flexible chain: the cranes (``plant``), a loop over them (``control``).
 
-Import what you need from its module: ``chaincrane.nonlinear``, ``chaincrane.kernel``,
-``chaincrane.linear``, ``chaincrane.parameters``. Nothing is imported here, so that a model loads no
-more than it uses.
+Import what you need from its module, as ``chaincrane.plant.nonlinear``. Nothing is imported here,
+so that a model loads no more than it uses.
 """

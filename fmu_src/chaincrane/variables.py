@@ -1,12 +1,23 @@
-"""What a row of an FMU's interface is, and the units that rows are given in."""
+"""A row of an FMU's interface, and how rows make settings: built from values, and checked.
+
+A settings dataclass is its own table: each field carries its row, so that a parameter's name, unit,
+start value, range and meaning stand once, where the models read it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from math import isfinite
+from typing import Any, TypeVar
 
-TINY = 2.2250738585072014e-308  # smallest normal number: the "above 0" of a closed range
+from .errors import BadValue
+
+ABOVE_ZERO = 2.2250738585072014e-308  # smallest normal number: the "above 0" of a closed range
+FINITE = "a finite number"
+_ROW = "variable"
+
+Settings = TypeVar("Settings")
 
 
 @dataclass(frozen=True)
@@ -22,6 +33,45 @@ class Variable:
     minimum: float | None = None
     maximum: float | None = None
     nominal: float | None = None
+    choices: tuple[str, ...] = ()  # of a String
+    words: str | None = None  # what is allowed, where the range does not say it well
+    starts_from: tuple[str, ...] = ()  # parameters that an output's first value depends on
+    starts_from_linear: tuple[str, ...] | None = None  # the same in the linear crane, if others
+
+    @property
+    def allowed(self) -> str:
+        """What a value may be, in words."""
+        if self.words is not None:
+            return self.words
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        if self.kind == "Integer":
+            return f"a whole number from {self.minimum} to {self.maximum}"
+        if self.minimum is None:
+            return FINITE
+        return f"{FINITE} above 0" if self.minimum == ABOVE_ZERO else f"{FINITE}, 0 or above"
+
+    @property
+    def symbol(self) -> str:
+        """Its name in C, and as a field of an input: trolley.v_cmd -> trolley_v_cmd."""
+        return self.name.replace(".", "_").replace("[", "_").replace("]", "")
+
+    def check(self, value: object) -> None:
+        """Raise BadValue unless ``value`` is allowed."""
+        if self.kind == "String":
+            good = value in self.choices
+        else:
+            kinds = (int,) if self.kind == "Integer" else (int, float)
+            good = isinstance(value, kinds) and not isinstance(value, bool) and self._holds(value)
+        if not good:
+            raise BadValue(self.name, value, self.allowed)
+
+    def _holds(self, value: float) -> bool:
+        return (
+            isfinite(value)
+            and (self.minimum is None or value >= self.minimum)
+            and (self.maximum is None or value <= self.maximum)
+        )
 
 
 NOMINAL = {"N": 10.0, "1/s": 0.1, "rad": 0.1, "J": 0.1, "kg": 0.1}  # by unit; 1 in the others
@@ -34,21 +84,103 @@ def _filled(variable: Variable) -> Variable:
     return replace(variable, nominal=NOMINAL.get(variable.unit or "", 1.0))
 
 
-def input_variable(name: str, unit: str, meaning: str) -> Variable:
-    """A Real input, zero where nothing is connected."""
-    return _filled(Variable(name, "input", unit, 0.0, meaning))
+def held_input(name: str, unit: str, meaning: str) -> Any:
+    """A dataclass's field that is a Real input; zero where nothing is connected."""
+    return field(default=0.0, metadata={_ROW: _filled(Variable(name, "input", unit, 0.0, meaning))})
 
 
-def parameter(
-    name: str, unit: str | None, start: float | str, meaning: str, **more: Any
-) -> Variable:
-    """A parameter, fixed when initialisation ends."""
-    return _filled(Variable(name, "parameter", unit, start, meaning, **more))
+def parameter(name: str, unit: str | None, start: float | str, meaning: str, **more: Any) -> Any:
+    """A dataclass's field that is a parameter, fixed when initialisation ends."""
+    row = _filled(Variable(name, "parameter", unit, start, meaning, **more))
+    return field(default=start, metadata={_ROW: row})
+
+
+def choice(name: str, start: str, choices: tuple[str, ...], meaning: str) -> Any:
+    """A dataclass's field that is a String parameter, one of ``choices``."""
+    return parameter(name, None, start, meaning, kind="String", choices=choices)
+
+
+def whole(name: str, start: int, span: tuple[int, int], meaning: str) -> Any:
+    """A dataclass's field that is an Integer parameter, from the first of ``span`` to its last."""
+    low, high = span
+    return parameter(name, None, start, meaning, kind="Integer", minimum=low, maximum=high)
 
 
 def output(name: str, unit: str | None, meaning: str, **more: Any) -> Variable:
     """An output, calculated."""
     return _filled(Variable(name, "output", unit, None, meaning, **more))
+
+
+def count(name: str, meaning: str) -> Variable:
+    """An Integer output, 0 or above."""
+    return output(name, None, meaning, kind="Integer", minimum=0)
+
+
+def rows(settings: Any) -> tuple[Variable, ...]:
+    """The rows of a settings dataclass and of those inside it, in the order of its fields."""
+    return tuple(row for row, _, _ in _places(settings))
+
+
+def _places(settings: Any) -> Iterator[tuple[Variable, Any, str]]:
+    """Each row with the dataclass, or its instance, that has it, and the name of its field."""
+    for entry in fields(settings):
+        if _ROW in entry.metadata:
+            yield entry.metadata[_ROW], settings, entry.name
+        elif is_dataclass(entry.default_factory):
+            inner = entry.default_factory
+            yield from _places(
+                inner if isinstance(settings, type) else getattr(settings, entry.name)
+            )
+
+
+def row_of(settings: Any, name: str) -> Variable:
+    """The row of a settings dataclass's field ``name``."""
+    row: Variable = next(row for row, _, place in _places(settings) if place == name)
+    return row
+
+
+def shared(settings: Any, name: str) -> Any:
+    """A field with the row and the start value of another dataclass's field ``name``."""
+    row = row_of(settings, name)
+    return field(default=row.start, metadata={_ROW: row})
+
+
+def from_values(settings: type[Settings], values: Mapping[str, Any]) -> Settings:
+    """An instance from the FMU's values by name; what is not named has its start value."""
+    chosen: dict[str, Any] = {}
+    for entry in fields(settings):  # type: ignore[arg-type]  # a dataclass
+        if _ROW in entry.metadata:
+            row = entry.metadata[_ROW]
+            chosen[entry.name] = values.get(row.name, row.start)
+        elif is_dataclass(entry.default_factory):
+            chosen[entry.name] = from_values(entry.default_factory, values)
+    return settings(**chosen)
+
+
+def values_of(settings: Any) -> dict[str, Any]:
+    """The FMU's values by name of a settings instance: what :func:`from_values` takes."""
+    return {row.name: getattr(owner, name) for row, owner, name in _places(settings)}
+
+
+def check_rows(settings: Any) -> None:
+    """Raise BadValue for the first value of a settings instance that is not allowed."""
+    for row, owner, name in _places(settings):
+        row.check(getattr(owner, name))
+
+
+def check_number(
+    name: str, value: Any, allowed: str = FINITE, *, above: float | None = None
+) -> None:
+    """Raise BadValue unless ``value`` is a finite number, and larger than ``above`` if given."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
+        raise BadValue(name, value, allowed)
+    if above is not None and not value > above:
+        raise BadValue(name, value, allowed)
+
+
+def check_step_size(h: Any) -> None:
+    """Raise BadValue unless ``h`` is a length of a communication step."""
+    check_number("step size", h, f"{FINITE} above 0, s", above=0.0)
 
 
 # The base units of FMI 2.0, as exponents: what each unit of the table is made of.

@@ -1,9 +1,9 @@
 /* FMI 2.0 co-simulation around a crane in C: what fmi_slave.py is around one in Python.
 
-   The names, words and order of things are those of fmi_slave.py, but for what pythonfmu cannot
-   do: a call that is refused returns fmi2Error at once and changes nothing; a step that cannot be
-   done returns fmi2Discard and leaves the state as it was; bad start values are fmi2Error where
-   initialisation ends, until a reset. Nothing is shared between instances. */
+   It says the same words at the same places. What pythonfmu does not let a slave return, it returns:
+   fmi2Error for a call that is refused, with nothing changed; fmi2Discard for a step that cannot be
+   done, the state as it was; fmi2Error for bad start values where initialisation ends, until a reset.
+   Nothing is shared between instances. */
 
 #include "fmi2Functions.h"
 #include <math.h>
@@ -11,16 +11,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "interface.h"
-#include "model.h"
+#include "crane.h"
 #include "saved_state.h"
+#include "start_values.h"
 #include "text.h"
 
-enum { MESSAGE_SIZE = 512 };
-
-static const double TIME_TOLERANCE = 1e-9;      /* of the time reached */
-static const double CONTINUES = 1e-12;          /* of a velocity: a jump that is none */
-static const double MAX_INTERNAL_STEPS = 1e7;   /* trolley.py */
+static const double CONTINUES = 1e-12; /* of a velocity: a jump that is none */
 
 typedef enum { INSTANTIATED, INITIALISING, STEPPING, TERMINATED } Phase;
 
@@ -30,7 +26,7 @@ static const char *const PHASES[] = {"instantiated", "initialising", "stepping",
 typedef struct {
     size_t size, room;
     unsigned char *bytes;
-} State;
+} SavedState;
 
 typedef struct {
     fmi2CallbackLogger logger;
@@ -43,7 +39,7 @@ typedef struct {
     void *memory;            /* the model's, or NULL: there is none */
     double *before;          /* the model's state before a step in parts */
     int observed;
-    double seen[OUTPUTS];
+    Outputs seen;
     fmi2Status last_step;
 } Instance;
 
@@ -66,100 +62,6 @@ static fmi2Status refuse(const Instance *c, const char *message) {
     return say(c, fmi2Error, LOG_STATUS_ERROR, message);
 }
 
-static void not_allowed(char message[MESSAGE_SIZE], const char *name, const char *value,
-                        const char *allowed) {
-    snprintf(message, MESSAGE_SIZE, "%s = %s is not allowed: %s", name, value, allowed);
-}
-
-static void bad_number(char message[MESSAGE_SIZE], const char *name, double value,
-                       const char *allowed) {
-    char number[NUMBER_SIZE];
-    not_allowed(message, name, text_repr(number, value), allowed);
-}
-
-static int is_finite(double value) { return value - value == 0.0; }
-
-/* ---- values ---- */
-
-static void take_start_values(Values *values) {
-    memset(values, 0, sizeof *values);
-    for (int i = 0; i < SETTABLE; i++) {
-        values->number[i] = VARIABLE[i].start;
-        if (VARIABLE[i].kind == STRING)
-            strcpy(values->text[VARIABLE[i].text], VARIABLE[i].start_text);
-    }
-}
-
-/* Place of a text among those that are allowed; -1 if it is none of them. */
-static int choice(const Values *values, int variable) {
-    const char *const *choices = VARIABLE[variable].choices;
-    for (int i = 0; choices[i]; i++)
-        if (strcmp(values->text[VARIABLE[variable].text], choices[i]) == 0) return i;
-    return -1;
-}
-
-/* parameters.py: EA, N, whose tension moves by a thousandth of the weight with a position's last
-   digit. */
-static double stiffest(const double *number) {
-    double weight = number[VR_GRAVITY] * (number[VR_CHAIN_MASS] + number[VR_PAYLOAD_MASS]);
-    return 1e-3 * weight / (2e-16 * number[VR_CHAIN_ELEMENTS]);
-}
-
-static int too_stiff(const double *number, char message[MESSAGE_SIZE]) {
-    char most[NUMBER_SIZE], allowed[NUMBER_SIZE + 64];
-    if (!(stiffest(number) < number[VR_CHAIN_EA])) return 0;
-    snprintf(allowed, sizeof allowed,
-             "at most %s N: beyond, round-off outweighs these masses and elements",
-             text_general(most, 3, stiffest(number)));
-    bad_number(message, VARIABLE[VR_CHAIN_EA].name, number[VR_CHAIN_EA], allowed);
-    return 1;
-}
-
-/* parameters.py: the first value that is not allowed, in words; 0 where all are. */
-static int bad_parameter(const Values *values, char message[MESSAGE_SIZE]) {
-    for (int place = 0; place < PARAMETERS; place++) {
-        int i = CHECK_ORDER[place];
-        const Variable *variable = &VARIABLE[i];
-        double value = values->number[i];
-        char text[TEXT_SIZE + 2];
-        if (variable->kind == STRING) {
-            if (choice(values, i) >= 0) continue;
-            snprintf(text, sizeof text, "'%s'", values->text[variable->text]);
-        } else {
-            if (is_finite(value) && value >= variable->minimum && value <= variable->maximum) {
-                if (i == VR_CHAIN_ELEMENTS && too_stiff(values->number, message)) return 1;
-                continue;
-            }
-            if (variable->kind == INTEGER)
-                snprintf(text, sizeof text, "%.0f", value);
-            else
-                text_repr(text, value);
-        }
-        not_allowed(message, variable->name, text, variable->allowed);
-        return 1;
-    }
-    return 0;
-}
-
-static ChainSettings settings(const Values *values) {
-    const double *number = values->number;
-    return (ChainSettings){
-        .length = number[VR_CHAIN_LENGTH],
-        .mass = number[VR_CHAIN_MASS],
-        .EA = number[VR_CHAIN_EA],
-        .payload_mass = number[VR_PAYLOAD_MASS],
-        .gravity = number[VR_GRAVITY],
-        .damping_air = number[VR_DAMPING_AIR],
-        .damping_chain = number[VR_DAMPING_CHAIN],
-        .speed = number[VR_INITIAL_SPEED],
-        .sway_angle = number[VR_INITIAL_SWAY_ANGLE],
-        .max_step = number[VR_SOLVER_MAX_STEP],
-        .elements = (int)number[VR_CHAIN_ELEMENTS],
-        .scheme = choice(values, VR_SOLVER_SCHEME),
-        .mass_matrix = choice(values, VR_CHAIN_MASS_MATRIX),
-    };
-}
-
 /* ---- the model ---- */
 
 static size_t state_count(const Instance *c) {
@@ -178,12 +80,13 @@ static void drop_model(Instance *c) {
 static int build(Instance *c, char message[MESSAGE_SIZE]) {
     drop_model(c);
     if (bad_parameter(&c->values, message)) return 0;
-    ChainSettings chosen = settings(&c->values);
-    c->memory = malloc(CRANE.memory(chosen.elements));
-    c->before = malloc(CRANE.state_count(chosen.elements) * sizeof(double));
+    Settings chosen = settings_of(&c->values);
+    int elements = (int)chosen.chain_elements;
+    c->memory = malloc(CRANE.memory(elements));
+    c->before = malloc(CRANE.state_count(elements) * sizeof(double));
     if (!c->memory || !c->before) {
         drop_model(c);
-        snprintf(message, MESSAGE_SIZE, "no memory for chain.elements = %d", chosen.elements);
+        snprintf(message, MESSAGE_SIZE, "no memory for chain.elements = %d", elements);
         return 0;
     }
     CRANE.create(c->memory, &chosen);
@@ -194,16 +97,17 @@ static int build(Instance *c, char message[MESSAGE_SIZE]) {
 static fmi2Status observe(Instance *c) {
     char message[MESSAGE_SIZE];
     if (c->memory || build(c, message)) {
-        CRANE.outputs(c->memory, c->seen);
+        CRANE.outputs(c->memory, &c->seen);
         c->observed = 1;
         return fmi2OK;
     }
-    for (int i = 0; i < OUTPUTS; i++) c->seen[i] = NAN;
+    for (int i = 0; i < OUTPUTS; i++) ((double *)&c->seen)[i] = NAN;
     return refuse(c, message);
 }
 
 /* errors.py: why the model's step failed. */
-static void describe_failure(int kind, const ChainFailure *failure, char message[MESSAGE_SIZE]) {
+static void describe_failure(Outcome outcome, const Failure *failure,
+                             char message[MESSAGE_SIZE]) {
     char t[NUMBER_SIZE], h[NUMBER_SIZE], defect[NUMBER_SIZE], scale[NUMBER_SIZE];
     char allowed[NUMBER_SIZE];
     text_general(t, 6, failure->time);
@@ -211,17 +115,17 @@ static void describe_failure(int kind, const ChainFailure *failure, char message
     text_general(defect, 3, failure->defect);
     text_general(scale, 3, failure->scale);
     text_general(allowed, 6, failure->allowed);
-    if (kind == CHAIN_STEP_ENERGY)
+    if (outcome == STEP_ENERGY)
         snprintf(message, MESSAGE_SIZE,
                  "at t = %s s: a step of %s s is off its energy balance by %s J of %s J;"
                  " allowed is %s of it",
                  t, h, defect, scale, allowed);
-    else if (kind == CHAIN_TOTAL_ENERGY)
+    else if (outcome == TOTAL_ENERGY)
         snprintf(message, MESSAGE_SIZE,
                  "at t = %s s: the energy balance since the start is off by %s J of %s J;"
                  " allowed is %s of it",
                  t, defect, scale, allowed);
-    else if (kind == CHAIN_SINGULAR)
+    else if (outcome == SINGULAR)
         snprintf(message, MESSAGE_SIZE,
                  "at t = %s s: the effective stiffness is singular in a step of %s s", t, h);
     else
@@ -229,6 +133,28 @@ static void describe_failure(int kind, const ChainFailure *failure, char message
                  "at t = %s s: the iteration for dynamic equilibrium did not converge in a step"
                  " of %s s",
                  t, h);
+}
+
+/* What the model's state begins with. */
+static SharedState *shared(const Instance *c) { return (SharedState *)CRANE.state(c->memory); }
+
+/* The command over dt, t after the step's start: inputs by their means, but v_cmd as it is at the
+   start, whose slope acts as an acceleration, exactly. */
+static Command command_at(const Instance *c, double t, double dt) {
+    const double *input = c->values.number, *slope = c->values.slope;
+    Command command;
+    for (int i = 0; i < INPUTS; i++) {
+        double when = i == VR_TROLLEY_V_CMD ? t : t + 0.5 * dt;
+        ((double *)&command)[i] = input[i] + when * slope[i];
+    }
+    return command;
+}
+
+/* Whether an input's slope is taken as a mean over each internal step. */
+static int has_mean_slopes(const Instance *c) {
+    for (int i = 0; i < INPUTS; i++)
+        if (i != VR_TROLLEY_V_CMD && c->values.slope[i] != 0.0) return 1;
+    return 0;
 }
 
 /* trolley.py, checked_move: inputs and step size that are not allowed, in words; 0: all are. */
@@ -246,13 +172,17 @@ static int bad_step(const Instance *c, double h, char message[MESSAGE_SIZE]) {
         return 1;
     }
     if (h > MAX_INTERNAL_STEPS * c->values.number[VR_SOLVER_MAX_STEP]) {
-        bad_number(message, "step size", h, "at most 10000000 internal steps of solver.max_step");
+        char allowed[NUMBER_SIZE + 64];
+        snprintf(allowed, sizeof allowed, "at most %d internal steps of solver.max_step",
+                 MAX_INTERNAL_STEPS);
+        bad_number(message, "step size", h, allowed);
         return 1;
     }
-    const double *now = CRANE.state(c->memory);
-    double a = input[VR_TROLLEY_A_CMD] + slope[VR_TROLLEY_V_CMD] + h * slope[VR_TROLLEY_A_CMD];
-    double v = input[VR_TROLLEY_V_CMD] + now[STATE_TROLLEY_GAINED];
-    if (!is_finite(now[STATE_TROLLEY_X] + h * v + 0.5 * h * h * a) || !is_finite(v + h * a)) {
+    SharedState after = *shared(c);
+    Command command = command_at(c, 0.0, h);
+    command.trolley_a_cmd = slope[VR_TROLLEY_V_CMD] + input[VR_TROLLEY_A_CMD] + h * slope[VR_TROLLEY_A_CMD];
+    move_trolley(&after, h, &command);
+    if (!is_finite(after.trolley_x) || !is_finite(after.trolley_v)) {
         bad_number(message, VARIABLE[VR_TROLLEY_V_CMD].name, input[VR_TROLLEY_V_CMD],
                    "a command that keeps the trolley's motion finite");
         return 1;
@@ -260,42 +190,40 @@ static int bad_step(const Instance *c, double h, char message[MESSAGE_SIZE]) {
     return 0;
 }
 
-/* Advance by dt, t after the step's start. v_cmd's slope acts as acceleration, and is exact;
-   a_cmd and payload.fx act with their means. */
-static int advance(Instance *c, double t, double dt, ChainFailure *failure) {
-    const double *input = c->values.number, *slope = c->values.slope;
-    double *state = CRANE.state(c->memory);
-    double v_cmd = input[VR_TROLLEY_V_CMD] + t * slope[VR_TROLLEY_V_CMD];
-    double a_cmd = input[VR_TROLLEY_A_CMD] + (t + 0.5 * dt) * slope[VR_TROLLEY_A_CMD];
-    double fx = input[VR_PAYLOAD_FX] + (t + 0.5 * dt) * slope[VR_PAYLOAD_FX];
-    double before = state[STATE_TROLLEY_V], gained = state[STATE_TROLLEY_GAINED];
-    double v = v_cmd + gained, away = fabs(v - before);
-    if (away > 0.0 && away <= CONTINUES * fabs(v)) state[STATE_TROLLEY_V] = v; /* round-off */
-    int kind = CRANE.step(c->memory, dt, v_cmd, a_cmd + slope[VR_TROLLEY_V_CMD], fx, failure);
-    if (kind != CHAIN_OK) state[STATE_TROLLEY_V] = before;
-    else if (slope[VR_TROLLEY_V_CMD] != 0.0) state[STATE_TROLLEY_GAINED] = gained + dt * a_cmd;
-    return kind;
+/* Advance by dt, t after the step's start. */
+static Outcome advance(Instance *c, double t, double dt, Failure *failure) {
+    SharedState *state = shared(c);
+    Command command = command_at(c, t, dt);
+    double slope = c->values.slope[VR_TROLLEY_V_CMD], a_cmd = command.trolley_a_cmd;
+    double before = state->trolley_v, gained = state->trolley_gained;
+    double v = commanded(state, &command), away = fabs(v - before);
+    if (away > 0.0 && away <= CONTINUES * fabs(v)) state->trolley_v = v; /* round-off */
+    command.trolley_a_cmd += slope;
+    Outcome outcome = CRANE.step(c->memory, dt, &command, failure);
+    if (outcome != DONE) state->trolley_v = before;
+    else if (slope != 0.0) state->trolley_gained = gained + dt * a_cmd;
+    return outcome;
 }
 
 /* Advance in as many equal parts as internal steps, for inputs whose slope is taken as a mean. */
-static int advance_in_parts(Instance *c, double h, ChainFailure *failure) {
-    double *state = CRANE.state(c->memory), steps = 0.0, iterations = 0.0;
+static Outcome advance_in_parts(Instance *c, double h, Failure *failure) {
+    SharedState *state = shared(c);
+    double steps = 0.0, iterations = 0.0;
     size_t bytes = state_count(c) * sizeof(double);
-    double count = ceil(h / c->values.number[VR_SOLVER_MAX_STEP] * (1.0 - 1e-9));
-    if (count < 1.0) count = 1.0;
+    double count = equal_parts(h, c->values.number[VR_SOLVER_MAX_STEP]);
     memcpy(c->before, state, bytes);
     for (double i = 0.0; i < count; i += 1.0) {
-        int kind = advance(c, i * h / count, h / count, failure);
-        if (kind != CHAIN_OK) {
+        Outcome outcome = advance(c, i * h / count, h / count, failure);
+        if (outcome != DONE) {
             memcpy(state, c->before, bytes);
-            return kind;
+            return outcome;
         }
-        steps += state[STATE_STEPS];
-        iterations += state[STATE_ITERATIONS];
+        steps += state->steps;
+        iterations += state->iterations;
     }
-    state[STATE_STEPS] = steps;
-    state[STATE_ITERATIONS] = iterations;
-    return CHAIN_OK;
+    state->steps = steps;
+    state->iterations = iterations;
+    return DONE;
 }
 
 /* ---- creation, and the phases of an instance ---- */
@@ -441,7 +369,7 @@ static fmi2Status get_numbers(Instance *c, Kind kind, const fmi2ValueReference v
         if (!is_kind(kind, vr[i])) return no_variable(c, kind, vr[i]);
     for (size_t i = 0; i < nvr; i++) {
         if (vr[i] >= SETTABLE && !c->observed && status == fmi2OK) status = observe(c);
-        double value = vr[i] < SETTABLE ? c->values.number[vr[i]] : c->seen[vr[i] - SETTABLE];
+        double value = vr[i] < SETTABLE ? c->values.number[vr[i]] : ((const double *)&c->seen)[vr[i] - SETTABLE];
         if (real) real[i] = value;
         else whole[i] = is_finite(value) ? (fmi2Integer)value : 0;
     }
@@ -622,12 +550,11 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real currentCommunicationPoin
     }
     if (bad_step(c, h, message))
         return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
-    const double *slope = c->values.slope;
-    int in_parts = slope[VR_TROLLEY_A_CMD] != 0.0 || slope[VR_PAYLOAD_FX] != 0.0;
-    ChainFailure failure = {0.0, h, 0.0, 0.0, 0.0};
-    int kind = in_parts ? advance_in_parts(c, h, &failure) : advance(c, 0.0, h, &failure);
-    if (kind != CHAIN_OK) {
-        describe_failure(kind, &failure, message);
+    Failure failure = {0.0, h, 0.0, 0.0, 0.0};
+    Outcome outcome =
+        has_mean_slopes(c) ? advance_in_parts(c, h, &failure) : advance(c, 0.0, h, &failure);
+    if (outcome != DONE) {
+        describe_failure(outcome, &failure, message);
         return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
     }
     c->time = at + h;
@@ -680,7 +607,7 @@ fmi2Status fmi2GetStringStatus(fmi2Component component, const fmi2StatusKind kin
 
 /* Room for so many bytes in *state, made if there is none; 0 without memory. */
 static int make_room(fmi2FMUstate *state, size_t size) {
-    State *s = *state;
+    SavedState *s = *state;
     if (!s) s = calloc(1, sizeof *s);
     if (!s) return 0;
     if (s->room < size) {
@@ -704,14 +631,14 @@ fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *FMUstate) {
     if (!make_room(FMUstate, saved_size(count))) return refuse(c, "no memory for a saved state");
     Snapshot snapshot = {(int)c->phase, c->time, c->values};
     save_state(&snapshot, c->memory ? CRANE.state(c->memory) : NULL, count,
-               ((State *)*FMUstate)->bytes);
+               ((SavedState *)*FMUstate)->bytes);
     return fmi2OK;
 }
 
 /* Restore a state, all or nothing. */
 fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
     Instance *c = component;
-    const State *state = FMUstate;
+    const SavedState *state = FMUstate;
     char message[MESSAGE_SIZE], foreign[256];
     Snapshot snapshot;
     const unsigned char *model;
@@ -748,7 +675,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
 
 fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *FMUstate) {
     if (!component || !FMUstate) return fmi2Error;
-    State *state = *FMUstate;
+    SavedState *state = *FMUstate;
     if (state) free(state->bytes);
     free(state);
     *FMUstate = NULL;
@@ -757,7 +684,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *FMUstate) {
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate FMUstate,
                                       size_t *size) {
-    const State *state = FMUstate;
+    const SavedState *state = FMUstate;
     if (!component || !state || !size) return fmi2Error;
     *size = state->size;
     return fmi2OK;
@@ -765,7 +692,7 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate FMUs
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate FMUstate,
                                  fmi2Byte serializedState[], size_t size) {
-    const State *state = FMUstate;
+    const SavedState *state = FMUstate;
     if (!component || !state || !serializedState) return fmi2Error;
     if (size < state->size) return refuse(component, "too little room for the saved state");
     memcpy(serializedState, state->bytes, state->size);
@@ -782,6 +709,6 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte seria
     const char *wrong = load_state(bytes, size, &snapshot, &model, &count, foreign);
     if (wrong) return refuse(component, wrong);
     if (!make_room(FMUstate, size)) return refuse(component, "no memory for a saved state");
-    memcpy(((State *)*FMUstate)->bytes, bytes, size);
+    memcpy(((SavedState *)*FMUstate)->bytes, bytes, size);
     return fmi2OK;
 }

@@ -1,7 +1,7 @@
 /* For a Windows library that is linked without a C runtime's start-up code and helpers: zig would
    have to compile those first, for a minute. What is left to do for ucrtbase.dll stands here. */
 
-#if defined(CHAIN_NO_STARTUP)
+#if defined(NO_STARTUP)
 #include <stdarg.h>
 #include <stddef.h>
 

@@ -6,17 +6,7 @@
 
 #include <stddef.h>
 
-#include "interface.h"
-
-enum { TEXT_SIZE = 64 }; /* bytes of a String parameter's value, its end included */
-
-/* Values of inputs and parameters by value reference, as numbers or texts, and the inputs' slopes:
-   their first derivatives during a step. */
-typedef struct {
-    double number[SETTABLE];
-    double slope[INPUTS];
-    char text[STRINGS][TEXT_SIZE];
-} Values;
+#include "start_values.h"
 
 typedef struct {
     int phase;

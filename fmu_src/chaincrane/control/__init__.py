@@ -1,0 +1,1 @@
+"""What closes a loop around a crane: an observer and an anti-sway controller."""

@@ -1,0 +1,47 @@
+"""The model that observer and controller are designed from: a crane as they believe it to be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from ..plant.parameters import Crane, Initial, Numerics, check
+from ..variables import Variable, choice, row_of, rows, whole
+
+MODELS = ("chain", "pendulum")
+INPUTS_AT = ("start", "end")
+MAX_DESIGN_ELEMENTS = 50
+SHOWN_MODES = 2
+
+# The crane's parameters that a taut string, which does not stretch, has a use for.
+CRANE_ROWS = tuple(row for row in rows(Crane) if row.name != "damping.chain")
+MASS_MATRIX = row_of(Numerics, "mass_matrix")
+
+
+def design_rows(settings: Any) -> tuple[Variable, ...]:
+    """The rows of an observer's or a controller's settings."""
+    return tuple(row for row in rows(settings) if row.name != "damping.chain")
+
+
+def model_choice(part: str) -> Any:
+    """The field that chooses the model that a part is designed from; ``part`` begins its name."""
+    meaning = f"{' or '.join(MODELS)}: the taut string, or a massless rope"
+    return choice(f"{part}.model", MODELS[0], MODELS, meaning)
+
+
+def elements_choice(part: str) -> Any:
+    """The field with the number of elements of that model."""
+    meaning = "number of finite elements of the chain"
+    return whole(f"{part}.elements", 2, (1, MAX_DESIGN_ELEMENTS), meaning)
+
+
+def check_design(crane: Crane, mass_matrix: str, speed: float = 0.0) -> None:
+    """Raise BadValue for the first value of the believed crane that is not allowed."""
+    check(crane, Initial(speed), Numerics(mass_matrix=mass_matrix))
+
+
+def design_crane(crane: Crane, model: str, elements: int) -> tuple[Crane, int]:
+    """The crane and its elements that stand for ``model``: a pendulum is one massless element."""
+    if model == "pendulum":
+        return replace(crane, chain=replace(crane.chain, mass=0.0)), 1
+    return crane, elements

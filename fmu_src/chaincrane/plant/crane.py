@@ -1,0 +1,179 @@
+"""What both cranes share: the commands, the trolley, the energy ledger, the outputs."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from math import atan2
+
+import numpy as np
+
+from ..errors import BadState
+from .chain import Array, DiscreteChain, discretise, interpolation
+from .command import IDLE, Command
+from .interface import MATERIAL_POINTS, OUTPUTS, SHARED_STATE
+from .ledger import Effort, Ledger
+from .parameters import Crane, Initial, Numerics, check
+from .trolley import Trolley, checked_move, equal_parts
+
+
+@dataclass(frozen=True)
+class Posture:
+    """What is seen of a crane, relative to its trolley."""
+
+    points: Array  # m, (11, 2): ten material points from the top, then the middle of the chain
+    node1: Array  # m, (2,), the chain's first node below the trolley
+    payload: Array  # m, (2,)
+    payload_w: Array  # m/s, (2,)
+
+
+class CraneModel(ABC):
+    """A crane that is driven by commands that are held over each communication step."""
+
+    def __init__(
+        self,
+        crane: Crane | None = None,
+        initial: Initial | None = None,
+        numerics: Numerics | None = None,
+    ) -> None:
+        self.crane = crane or Crane()
+        self.initial = initial or Initial()
+        self.numerics = numerics or Numerics()
+        check(self.crane, self.initial, self.numerics)
+        self.chain: DiscreteChain = discretise(
+            self.crane, self.numerics.elements, self.numerics.mass_matrix
+        )
+        self.start_time = self.time = 0.0
+        self.trolley = Trolley(v=self.initial.speed)
+        self.effort = Effort()
+        fractions = np.append(np.arange(1, MATERIAL_POINTS + 1) / MATERIAL_POINTS, 0.5)
+        self._interpolation = interpolation(self.numerics.elements, fractions)
+
+    def step(self, h: float, command: Command = IDLE) -> None:
+        """Advance by ``h`` seconds under a held command.
+
+        A v_cmd that differs from the trolley's velocity is a jump: an impulse at the step's start.
+        Raises BadValue for a value that is not allowed, NotConverged or EnergyBalanceBroken where
+        the motion cannot be had; the crane is then as it was before the call.
+        """
+        after = checked_move(self.trolley, self.numerics.max_step, h, command)
+        start = replace(self.trolley, v=self.trolley.commanded(command))
+        self._advance(h, start, command)
+        self.trolley = after
+        self.time += h
+
+    def internal_steps(self, h: float) -> int:
+        """Number of equal internal steps for a communication step of ``h`` seconds."""
+        return equal_parts(h, self.numerics.max_step)
+
+    @abstractmethod
+    def _advance(self, h: float, start: Trolley, command: Command) -> None:
+        """Advance the chain by ``h``; all or nothing. ``start``: the trolley after its jump."""
+
+    @property
+    @abstractmethod
+    def energy(self) -> float:
+        """Mechanical energy above the rest position, J."""
+
+    @property
+    @abstractmethod
+    def ledger(self) -> Ledger:
+        """The energy ledger."""
+
+    @property
+    @abstractmethod
+    def _state_names(self) -> Collection[str]:
+        """Names of the numbers that the state begins with: a table of interface.py."""
+
+    @abstractmethod
+    def _save(self) -> tuple[dict[str, float], Array]:
+        """The model's own state: numbers by name, and one vector of arrays."""
+
+    @abstractmethod
+    def _load(self, numbers: dict[str, float], arrays: Array, ledger: Ledger) -> None:
+        """Restore what :meth:`_save` gave, and the energy ledger."""
+
+    def save(self) -> bytes:
+        """The whole state, bit for bit; the parameters are not in it."""
+        trolley, ledger, effort = self.trolley, self.ledger, self.effort
+        numbers = {
+            "time": self.time,
+            "trolley_x": trolley.x,
+            "trolley_v": trolley.v,
+            "trolley_gained": trolley.gained,
+            "steps": float(effort.steps),
+            "iterations": float(effort.iterations),
+            "ledger_start": ledger.start,
+            "ledger_trolley": ledger.trolley,
+            "ledger_payload": ledger.payload,
+            "ledger_dissipated": ledger.dissipated,
+        }
+        own, arrays = self._save()
+        numbers |= own
+        ordered = [numbers.pop(name) for name in self._state_names]
+        assert not numbers, f"not in the table of the state: {sorted(numbers)}"
+        return np.concatenate((ordered, arrays)).astype("<f8").tobytes()
+
+    def load(self, state: bytes) -> None:
+        """Restore what :meth:`save` gave, in a crane with the same parameters.
+
+        Raises BadState, the crane unchanged, where the size does not fit.
+        """
+        if len(state) != len(self.save()):
+            raise BadState("the saved state is of a crane with another number of elements")
+        vector = np.frombuffer(state, dtype="<f8").astype(float)
+        names = self._state_names
+        numbers = dict(zip(names, vector[: len(names)].tolist(), strict=True))
+        self.time = numbers["time"]
+        self.trolley = Trolley(
+            numbers["trolley_x"], numbers["trolley_v"], numbers["trolley_gained"]
+        )
+        self.effort = Effort(int(numbers["steps"]), int(numbers["iterations"]))
+        ledger = Ledger(**{f: numbers[f"ledger_{f}"] for f in Ledger.__dataclass_fields__})
+        own = {name: value for name, value in numbers.items() if name not in SHARED_STATE}
+        self._load(own, vector[len(names) :], ledger)
+
+    @abstractmethod
+    def _posture(self) -> Posture:
+        """Positions and velocities, relative to the trolley."""
+
+    @abstractmethod
+    def _own_outputs(self) -> dict[str, float]:
+        """Outputs that each model has in its own way, by their FMU names, in SI units."""
+
+    def output_values(self) -> list[float]:
+        """All outputs in the interface's order, in SI units."""
+        return list(self.outputs().values())
+
+    def outputs(self) -> dict[str, float]:
+        """All outputs by their FMU names, in SI units, in the interface's order."""
+        posture, trolley, ledger = self._posture(), self.trolley, self.ledger
+        x_rel, y_rel = float(posture.payload[0]), float(posture.payload[1])
+        energy = self.energy
+        values = {
+            "trolley.x": trolley.x,
+            "trolley.v": trolley.v,
+            "payload.x": trolley.x + x_rel,
+            "payload.y": y_rel,
+            "payload.vx": trolley.v + float(posture.payload_w[0]),
+            "payload.vy": float(posture.payload_w[1]),
+            "payload.x_rel": x_rel,
+            "payload.sway_angle": atan2(x_rel, -y_rel),
+            "chain.mid_x_rel": float(posture.points[-1, 0]),
+            "chain.top_angle": atan2(float(posture.node1[0]), -float(posture.node1[1])),
+            "energy.total": energy,
+            "energy.dissipated": ledger.dissipated,
+            "energy.error": energy - ledger.expected,
+            "solver.steps": self.effort.steps,
+            "solver.iterations": self.effort.iterations,
+        }
+        points = posture.points[:MATERIAL_POINTS].tolist()
+        for i, (x, _) in enumerate(points, start=1):
+            values[f"chain.x[{i}]"] = trolley.x + x
+        for i, (_, y) in enumerate(points, start=1):
+            values[f"chain.y[{i}]"] = y
+        values |= self._own_outputs()
+        ordered = {variable.name: values.pop(variable.name) for variable in OUTPUTS}
+        assert not values, f"not in the table of outputs: {sorted(values)}"
+        return ordered

@@ -1,0 +1,164 @@
+"""The cranes' interface, in one table: variables, units, start values, ranges, meanings.
+
+Both cranes have the same variables. A value reference is a variable's place in ``VARIABLES``. The
+slaves, the model description, the C twins' header, the driver and the README's table are all made
+from this. Inputs and parameters stand with the dataclasses that the models read: Command, Crane,
+Initial, Numerics. The layout of a crane's state, which its twin in C has too, stands below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..variables import count, from_values, output, rows
+from .command import Command
+from .parameters import Crane, Initial, Numerics
+
+MATERIAL_POINTS = 10  # of the chain that are outputs: chain.x[i], chain.y[i]
+
+_WEIGHT = ("chain.mass", "chain.elements", "payload.mass", "gravity")
+_STRETCH = ("chain.mass", "chain.EA", "payload.mass", "gravity")
+_SHAPE = ("chain.length", *_STRETCH)
+_INSIDE = (*_SHAPE, "chain.elements")  # of a point between the chain's ends
+_SWAY = ("initial.sway_angle",)
+_SPEED = ("initial.speed",)
+_ENERGY = ("chain.length", "chain.mass", "payload.mass", "gravity", *_SWAY, *_SPEED)
+_STRAIGHT = ("chain.length", *_SWAY)  # a string's displacement, which does not stretch
+
+
+def _point(axis: str, place: int, meaning: str) -> Any:
+    """Material point ``place``/10 of the chain; the last one is the payload."""
+    inside = _SHAPE if place == MATERIAL_POINTS else _INSIDE
+    return output(
+        f"chain.{axis}[{place}]",
+        "m",
+        f"material point at {place}/{MATERIAL_POINTS} of the chain, {meaning}",
+        starts_from=inside + _SWAY,
+        starts_from_linear=_STRAIGHT if axis == "x" else inside,
+    )
+
+
+INPUTS = rows(Command)
+PARAMETERS = rows(Crane) + rows(Initial) + rows(Numerics)
+OUTPUTS = (
+    output("trolley.x", "m", "travel since the start"),
+    output("trolley.v", "m/s", "velocity of the trolley", starts_from=_SPEED),
+    output(
+        "trolley.fx",
+        "N",
+        "horizontal force that the drive exerts on the chain, without the impulses of jumps;"
+        " nonlinear: mean of the last internal step",
+        starts_from=_WEIGHT + _SWAY,
+    ),
+    output(
+        "payload.x",
+        "m",
+        "horizontal position, absolute",
+        starts_from=_SHAPE + _SWAY,
+        starts_from_linear=_STRAIGHT,
+    ),
+    output(
+        "payload.y",
+        "m",
+        "height above the trolley's rail, so negative",
+        starts_from=_SHAPE + _SWAY,
+        starts_from_linear=_SHAPE,
+    ),
+    output("payload.vx", "m/s", "horizontal velocity, absolute", starts_from=_SPEED),
+    output("payload.vy", "m/s", "vertical velocity"),
+    output(
+        "payload.x_rel",
+        "m",
+        "payload.x - trolley.x, the sway",
+        starts_from=_SHAPE + _SWAY,
+        starts_from_linear=_STRAIGHT,
+    ),
+    output(
+        "payload.sway_angle",
+        "rad",
+        "of the line from trolley to payload",
+        starts_from=_SWAY,
+        starts_from_linear=_STRETCH + _SWAY,
+    ),
+    output(
+        "chain.mid_x_rel",
+        "m",
+        "the chain's middle point, relative to the trolley",
+        starts_from=_INSIDE + _SWAY,
+        starts_from_linear=_STRAIGHT,
+    ),
+    output(
+        "chain.top_angle",
+        "rad",
+        "of the chain at the trolley: what a rope-angle sensor sees",
+        starts_from=_SWAY,
+        starts_from_linear=(*_STRETCH, "chain.elements", *_SWAY),
+    ),
+    output(
+        "chain.tension_top",
+        "N",
+        "tension of the chain at the trolley; nonlinear: mean of the last internal step",
+        starts_from=_WEIGHT + _SWAY,
+        starts_from_linear=_WEIGHT,
+    ),
+    output(
+        "chain.tension_min",
+        "N",
+        "smallest tension in the chain, likewise; below 0 it would be slack",
+        starts_from=_WEIGHT + _SWAY,
+        starts_from_linear=_WEIGHT,
+    ),
+    *(_point("x", i, "absolute") for i in range(1, MATERIAL_POINTS + 1)),
+    *(_point("y", i, "height") for i in range(1, MATERIAL_POINTS + 1)),
+    output(
+        "energy.total",
+        "J",
+        "mechanical energy above the rest position",
+        starts_from=(*_ENERGY, "chain.EA", "chain.elements"),
+        starts_from_linear=_ENERGY,
+    ),
+    output(
+        "energy.dissipated", "J", "taken out since the start by damping and by the scheme itself"
+    ),
+    output(
+        "energy.error",
+        "J",
+        "energy + dissipated - work of trolley and payload force, since the start; ideally 0",
+    ),
+    count("solver.steps", "internal steps of the last communication step"),
+    count("solver.iterations", "iterations of the last communication step"),
+)
+
+VARIABLES = INPUTS + PARAMETERS + OUTPUTS
+NAMES = tuple(variable.name for variable in VARIABLES)
+
+
+def settings(values: Mapping[str, Any]) -> tuple[Crane, Initial, Numerics]:
+    """A crane's parameters from the FMU's parameter values, by name; the rest is the default."""
+    return from_values(Crane, values), from_values(Initial, values), from_values(Numerics, values)
+
+
+# A state is one vector of doubles: these numbers first, by name, with their units; then arrays.
+SHARED_STATE = {
+    "time": "s, since the start",
+    "trolley_x": "m",
+    "trolley_v": "m/s",
+    "trolley_gained": "m/s, integral of a_cmd since the start",
+    "steps": "internal steps of the last communication step",
+    "iterations": "its iterations",
+    "ledger_start": "J, energy at the start",
+    "ledger_trolley": "J, work of the trolley since",
+    "ledger_payload": "J, work of the payload's force since",
+    "ledger_dissipated": "J, taken out since",
+}
+LAST_COMMAND = "last_command."  # before the name of a command's field
+NONLINEAR_STATE = {
+    **SHARED_STATE,
+    "loaded": "1: the last command is known, 0: the next step is a new start for the scheme",
+    **{f"{LAST_COMMAND}{row.symbol}": f"{row.unit}, of the last step, if loaded" for row in INPUTS},
+    "energy": "J",
+    "scale": "J, what errors of energy are measured against",
+    "trolley_fx": "N",
+}
+LINEAR_STATE = {**SHARED_STATE, "trolley_fx": "N"}

@@ -1,0 +1,258 @@
+"""The nonlinear crane: a chain of truss elements, large motions, tension by its own stretch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass, fields, replace
+
+import numpy as np
+
+from ..errors import EnergyBalanceBroken, NotConverged
+from . import banded
+from .chain import (
+    Array,
+    DiscreteChain,
+    along_elements,
+    axial_force,
+    kinetic_energy,
+    potential_energy,
+    straight_chain,
+)
+from .command import Command
+from .crane import CraneModel, Posture
+from .energy_momentum import EnergyMomentum
+from .interface import LAST_COMMAND, NONLINEAR_STATE
+from .ledger import Effort, Ledger
+from .newmark import Newmark
+from .parameters import Crane, Initial, Numerics
+from .scheme import Load, Motion, Scheme
+from .trolley import Trolley
+
+SCHEME_CLASSES: dict[str, Callable[[DiscreteChain], Scheme]] = {
+    "energy_momentum": EnergyMomentum,
+    "newmark": Newmark,
+}
+MAX_HALVINGS = 12  # of an internal step that does not converge or breaks the energy balance
+STEP_ENERGY_TOLERANCE = 1e-3  # of the energy put in so far, what a step may be off by
+TOTAL_ENERGY_TOLERANCE = 5e-3  # the same, since the start
+ROUND_OFF_ENERGY = 1e-9  # of weight times length, what round-off alone may amount to
+
+
+@dataclass(frozen=True)
+class NonlinearState:
+    """All that a step starts from, besides the trolley."""
+
+    motion: Motion
+    last: Command | None  # of the last step; a change of load is a new start for the scheme
+    ledger: Ledger
+    energy: float  # J
+    scale: float  # J, what errors are measured against, see _scale
+    trolley_fx: float  # N
+
+
+def jumps(before: Command, after: Command) -> bool:
+    """Whether the load jumps between two steps; the trolley's velocity is no load."""
+    return replace(before, trolley_v_cmd=after.trolley_v_cmd) != after
+
+
+class NonlinearCrane(CraneModel):
+    """The paper's nonlinear crane, section 2.1, with a scheme that is safe for stiff chains."""
+
+    def __init__(
+        self,
+        crane: Crane | None = None,
+        initial: Initial | None = None,
+        numerics: Numerics | None = None,
+    ) -> None:
+        super().__init__(crane, initial, numerics)
+        chain = self.chain
+        self._scheme: Scheme = SCHEME_CLASSES[self.numerics.scheme](chain)
+        self._mass = banded.Factors(banded.mass_bands(chain))
+        r = straight_chain(chain, self.initial.sway_angle)
+        d = along_elements(r)
+        length = np.hypot(d[:, 0], d[:, 1])
+        tension = axial_force(self.crane.chain.EA, chain.L0, length)
+        motion = Motion(r, np.zeros_like(r), tension)
+        energy = self._energy(motion, self.trolley.v)
+        self._state = NonlinearState(
+            motion=motion,
+            last=None,
+            ledger=Ledger(start=energy),
+            energy=energy,
+            scale=potential_energy(chain, r),
+            trolley_fx=0.0 - float(tension[0] * d[0, 0] / length[0]),
+        )
+
+    @property
+    def energy(self) -> float:
+        """Mechanical energy above the rest position, J."""
+        return self._state.energy
+
+    @property
+    def ledger(self) -> Ledger:
+        """The energy ledger."""
+        return self._state.ledger
+
+    @property
+    def motion(self) -> Motion:
+        """Positions and velocities of the free nodes relative to the trolley."""
+        return self._state.motion
+
+    def _energy(self, motion: Motion, trolley_v: float) -> float:
+        return kinetic_energy(self.chain, motion.w, trolley_v) + potential_energy(
+            self.chain, motion.r
+        )
+
+    def _jump(self, state: NonlinearState, before: float, after: float) -> NonlinearState:
+        """The trolley's velocity jumps, m/s: the impulse of the mass matrix on the free nodes.
+
+        M_ff dw = -b dv, with b the row sums; the drive's impulse works at the mean velocity.
+        """
+        dv = after - before
+        if dv == 0.0:
+            return state
+        push = np.zeros_like(state.motion.w)
+        push[:, 0] = -self.chain.row_mass * dv
+        dw = self._mass.solve(push)
+        motion = Motion(state.motion.r, state.motion.w + dw, state.motion.tension)
+        row = self.chain.row_mass0
+        impulse = row * dv + self.chain.mass_coupling * float(dw[0, 0])
+        energy = self._energy(motion, after)
+        return replace(
+            state,
+            motion=motion,
+            last=None,
+            ledger=state.ledger.booked(0.5 * (before + after) * impulse, 0.0, 0.0),
+            energy=energy,
+            scale=self._scale(state.scale, after, state.ledger),
+        )
+
+    def _advance(self, h: float, start: Trolley, command: Command) -> None:
+        state = self._jump(self._state, self.trolley.v, start.v)
+        count = self.internal_steps(h)
+        effort = Effort()
+        for i in range(count):
+            state, effort = self._internal_step(
+                state, effort, start, command, i * h / count, h / count
+            )
+        self._state = state
+        self.effort = effort
+
+    def _internal_step(
+        self,
+        state: NonlinearState,
+        effort: Effort,
+        start: Trolley,
+        command: Command,
+        elapsed: float,
+        h: float,
+    ) -> tuple[NonlinearState, Effort]:
+        """One internal step; where it fails it is halved, at most MAX_HALVINGS times over."""
+        pending = [(elapsed, h, 0)]
+        while pending:
+            elapsed, h, halvings = pending.pop()
+            load = Load(start.v + elapsed * command.trolley_a_cmd, command)
+            try:
+                state, iterations = self._attempt(state, load, h)
+                effort = Effort(effort.steps + 1, effort.iterations + iterations)
+            except (NotConverged, EnergyBalanceBroken) as error:
+                effort = Effort(effort.steps, effort.iterations + error.iterations)
+                if halvings == MAX_HALVINGS:
+                    when = self.start_time + self.time + elapsed
+                    raise type(error)(f"at t = {when:.6g} s: {error}") from None
+                pending.append((elapsed + 0.5 * h, 0.5 * h, halvings + 1))
+                pending.append((elapsed, 0.5 * h, halvings + 1))
+        return state, effort
+
+    def _attempt(self, state: NonlinearState, load: Load, h: float) -> tuple[NonlinearState, int]:
+        """One step of the scheme, with its energy balance checked."""
+        motion = state.motion
+        if state.last is None or jumps(state.last, load.command):  # accelerations start anew
+            motion = Motion(motion.r, motion.w, motion.tension)
+        with np.errstate(over="ignore", invalid="ignore"):  # the checks reject what overflows
+            result = self._scheme.step(self._scheme.start(motion, load), load, h)
+        ledger = state.ledger.booked(result.work_trolley, result.work_payload, result.dissipated)
+        energy = self._energy(result.motion, load.trolley_v_after(h))
+        try:
+            self._check_energy(state, ledger, energy, h)
+        except EnergyBalanceBroken as error:
+            error.iterations = result.iterations
+            raise
+        after = NonlinearState(
+            motion=result.motion,
+            last=load.command,
+            ledger=ledger,
+            energy=energy,
+            scale=self._scale(state.scale, load.trolley_v_after(h), ledger),
+            trolley_fx=result.trolley_fx,
+        )
+        return after, result.iterations
+
+    def _scale(self, before: float, trolley_v: float, ledger: Ledger) -> float:
+        """What errors of energy are measured against, J: the largest so far of
+
+            start above rest + (M + m) (v - v_start)^2/2 + |work of the payload's force|,
+
+        what the trolley and the payload's force can have put into the swing, in any frame.
+        """
+        mass = self.crane.chain.mass + self.crane.payload.mass
+        changed = trolley_v - self.initial.speed
+        start = ledger.start - 0.5 * mass * self.initial.speed**2
+        return max(before, start + 0.5 * mass * changed * changed + abs(ledger.payload))
+
+    def _check_energy(self, state: NonlinearState, ledger: Ledger, energy: float, h: float) -> None:
+        """Raise EnergyBalanceBroken where energy now differs from before + work - dissipation."""
+        weight = self.crane.gravity * (self.crane.chain.mass + self.crane.payload.mass)
+        floor = ROUND_OFF_ENERGY * weight * self.crane.chain.length
+        scale = state.scale
+        total = energy - ledger.expected
+        step = total - (state.energy - state.ledger.expected)
+        if not abs(step) <= STEP_ENERGY_TOLERANCE * scale + floor:
+            raise EnergyBalanceBroken.in_step(h, step, scale, STEP_ENERGY_TOLERANCE)
+        if not abs(total) <= TOTAL_ENERGY_TOLERANCE * scale + floor:
+            raise EnergyBalanceBroken.since_start(total, scale, TOTAL_ENERGY_TOLERANCE)
+
+    @property
+    def _state_names(self) -> Collection[str]:
+        return NONLINEAR_STATE
+
+    def _save(self) -> tuple[dict[str, float], Array]:
+        state, motion = self._state, self._state.motion
+        command = Command() if state.last is None else state.last
+        numbers = {
+            "loaded": float(state.last is not None),
+            **{LAST_COMMAND + name: value for name, value in asdict(command).items()},
+            "energy": state.energy,
+            "scale": state.scale,
+            "trolley_fx": state.trolley_fx,
+        }
+        a = np.full_like(motion.r, np.nan) if motion.a is None else motion.a
+        nodal = (motion.r.ravel(), motion.w.ravel(), a.ravel())
+        return numbers, np.concatenate((*nodal, motion.tension))
+
+    def _load(self, numbers: dict[str, float], arrays: Array, ledger: Ledger) -> None:
+        n = self.chain.elements
+        nodal, tension = np.split(arrays, (6 * n,))
+        r, w, a = nodal.reshape(3, n, 2)
+        command = {f.name: numbers[LAST_COMMAND + f.name] for f in fields(Command)}
+        self._state = NonlinearState(
+            motion=Motion(r, w, tension, None if np.isnan(a).any() else a),
+            last=Command(**command) if numbers["loaded"] else None,
+            ledger=ledger,
+            energy=numbers["energy"],
+            scale=numbers["scale"],
+            trolley_fx=numbers["trolley_fx"],
+        )
+
+    def _posture(self) -> Posture:
+        r, w = self._state.motion.r, self._state.motion.w
+        points = self._interpolation @ r
+        return Posture(points, node1=r[0], payload=r[-1], payload_w=w[-1])
+
+    def _own_outputs(self) -> dict[str, float]:
+        state = self._state
+        return {
+            "trolley.fx": state.trolley_fx,
+            "chain.tension_top": float(state.motion.tension[0]),
+            "chain.tension_min": float(state.motion.tension.min()),
+        }

@@ -1,0 +1,1 @@
+"""Makes FMUs of the models: it travels in none of them."""

@@ -1,0 +1,166 @@
+"""modelDescription.xml and the documentation's page, written from the interface's table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from string import Template
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from chaincrane.build_info import VERSION
+from chaincrane.variables import UNITS, Variable
+
+from .fmus import FMUS, Fmu
+
+LOG_CATEGORIES = {
+    "logStatusWarning": "fmi2Warning: something to know of, the result stands",
+    "logStatusDiscard": "fmi2Discard: a step was not done",
+    "logStatusError": "Why a value, a step or a state was refused",
+    "logStatusFatal": "fmi2Fatal: the instance cannot go on",
+    "logAll": "All messages",
+}
+DEFAULT_EXPERIMENT = {
+    "startTime": "0",
+    "stopTime": "4",
+    "tolerance": "1e-6",
+    "stepSize": "0.005",
+}
+
+
+def _variable_element(variable: Variable, reference: int) -> Element:
+    output = variable.causality == "output"
+    if variable.kind == "Real" and variable.causality != "parameter":
+        variability = "continuous"
+    else:
+        variability = "discrete" if output else "fixed"
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.meaning,
+        "causality": variable.causality,
+        "variability": variability,
+    }
+    if variable.causality != "input":
+        attributes["initial"] = "calculated" if output else "exact"
+    element = Element("ScalarVariable", attributes)
+    typed = {
+        "unit": variable.unit,
+        "min": variable.minimum,
+        "max": variable.maximum,
+        "nominal": variable.nominal,
+        "start": variable.start,
+    }
+    # repr keeps every digit of a float, so that a value set back as its start is the same value
+    given = {
+        key: value if isinstance(value, str) else repr(value)
+        for key, value in typed.items()
+        if value is not None
+    }
+    SubElement(element, variable.kind, given)
+    return element
+
+
+def _unit_definitions() -> Element:
+    element = Element("UnitDefinitions")
+    for name, exponents in UNITS.items():
+        unit = SubElement(element, "Unit", {"name": name})
+        SubElement(unit, "BaseUnit", {base: str(power) for base, power in exponents.items()})
+        if name == "rad":
+            degree = {"name": "deg", "factor": repr(180.0 / 3.141592653589793)}
+            SubElement(unit, "DisplayUnit", degree)
+    return element
+
+
+def _model_structure(fmu: Fmu) -> Element:
+    """Outputs and InitialUnknowns with their dependencies; indices count from 1.
+
+    A step's inputs act within the step, so no output depends on an input at its own instant.
+    """
+    structure = Element("ModelStructure")
+    index = {
+        name: str(place) for place, name in enumerate((v.name for v in fmu.variables), start=1)
+    }
+    outputs = SubElement(structure, "Outputs")
+    for variable in fmu.outputs:
+        SubElement(outputs, "Unknown", {"index": index[variable.name], "dependencies": ""})
+    unknowns = SubElement(structure, "InitialUnknowns")
+    for variable in fmu.outputs:
+        on = sorted(int(index[name]) for name in fmu.starts_from(variable))
+        dependencies = " ".join(str(place) for place in on)
+        SubElement(
+            unknowns, "Unknown", {"index": index[variable.name], "dependencies": dependencies}
+        )
+    return structure
+
+
+def documentation(model: str, sources: str, template: str) -> str:
+    """The FMU's index.html: ``template`` with the model's name, version and interface filled in."""
+    fmu, rows = FMUS[model], []
+    for variable in fmu.variables:
+        start = "" if variable.start is None else str(variable.start)
+        cells = variable.name, variable.causality, variable.unit or "", start, variable.meaning
+        rows.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
+    return Template(template).substitute(
+        model=model,
+        description=escape(fmu.description),
+        version=version(sources),
+        interface="\n".join(rows),
+    )
+
+
+def version(sources: str) -> str:
+    """The version with the hash of the sources that the FMU was built from."""
+    return f"{VERSION}+{sources[:12]}"
+
+
+def model_description(
+    model: str, sources: str, date: str, tool: str, c_files: Sequence[str]
+) -> bytes:
+    """The XML of ``model``, a key of FMUS, built by ``tool`` from ``sources`` (a hash).
+
+    ``c_files``: names of the C files of a native FMU.
+    """
+    fmu = FMUS[model]
+    root = Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": "2.0",
+            "modelName": model,
+            "guid": f"{{{sources}}}",
+            "description": fmu.description,
+            "author": "the chaincrane authors",
+            "version": version(sources),
+            "copyright": "Copyright 2026 the chaincrane authors",
+            "license": "MIT",
+            "generationTool": tool,
+            "generationDateAndTime": date,
+            "variableNamingConvention": "structured",
+        },
+    )
+    capabilities = {
+        "modelIdentifier": model,
+        "needsExecutionTool": "false",
+        "canHandleVariableCommunicationStepSize": "true",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+    }
+    if c_files:
+        capabilities["canInterpolateInputs"] = "true"
+    simulation = SubElement(root, "CoSimulation", capabilities)
+    if c_files:
+        files = SubElement(simulation, "SourceFiles")
+        for name in c_files:
+            SubElement(files, "File", {"name": name})
+    root.append(_unit_definitions())
+    categories = SubElement(root, "LogCategories")
+    for name, meaning in LOG_CATEGORIES.items():
+        SubElement(categories, "Category", {"name": name, "description": meaning})
+    SubElement(root, "DefaultExperiment", DEFAULT_EXPERIMENT)
+    variables = SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(fmu.variables):
+        variables.append(_variable_element(variable, reference))
+    root.append(_model_structure(fmu))
+    indent(root)
+    xml: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
+    return xml

@@ -1,0 +1,61 @@
+/* A crane in C: what its hosts ask of it, and what both cranes share. The twin of crane.py and
+   trolley.py in chaincrane/plant.
+
+   A crane lives in memory of the caller's, ``memory(elements)`` bytes, and allocates nothing; its
+   whole state is one flat array of doubles, which begins with a SharedState. Each crane's file
+   defines one CRANE. */
+
+#ifndef CRANE_H
+#define CRANE_H
+
+#include <stddef.h>
+
+#include "chain.h"
+
+typedef struct {
+    size_t (*memory)(int elements);
+    /* Make a crane at its initial state; the caller has checked the settings. */
+    void (*create)(void *memory, const Settings *settings);
+    /* Advance by h seconds under a held command: DONE, or else the state is as it was. */
+    Outcome (*step)(void *memory, double h, const Command *command, Failure *failure);
+    void (*outputs)(const void *memory, Outputs *outputs);
+    size_t (*state_count)(int elements);
+    double *(*state)(void *memory);
+} CraneModel;
+
+extern const CraneModel CRANE;
+
+/* ---- trolley.py ---- */
+
+/* Number of equal parts of h seconds, none longer than ``longest``; a ratio that is whole but for
+   round-off counts as whole. */
+double equal_parts(double h, double longest);
+
+/* Velocity, m/s, that a command asks for at this instant. */
+double commanded(const SharedState *now, const Command *command);
+
+/* Whether h and the command are allowed: finite, and a motion of the trolley that stays so. */
+int is_allowed(const SharedState *now, const Settings *settings, double h, const Command *command);
+
+/* The trolley after h seconds of a held command. */
+void move_trolley(SharedState *state, double h, const Command *command);
+
+/* ---- ledger.py ---- */
+
+/* Mechanical energy that must be there now, J. */
+double expected_energy(const SharedState *state);
+
+/* ---- crane.py ---- */
+
+/* What is seen of a crane, relative to its trolley. */
+typedef struct {
+    Vector points[POINTS]; /* m, ten material points from the top, then the middle */
+    Vector node1, payload; /* m */
+    Vector payload_w;      /* m/s */
+} Posture;
+
+/* All outputs but those that each crane has in its own way, which stay not a number. */
+void shared_outputs(const SharedState *state, const Posture *posture, double energy,
+                    Outputs *outputs);
+
+#endif

@@ -1,0 +1,10 @@
+/* The default scheme; the twin of chaincrane/plant/energy_momentum.py. */
+
+#ifndef ENERGY_MOMENTUM_H
+#define ENERGY_MOMENTUM_H
+
+#include "scheme.h"
+
+Step energy_momentum_step;
+
+#endif

@@ -1,0 +1,34 @@
+/* A crane for chaincrane/plant/kernel.py, which calls it from Python. */
+
+#include "crane.h"
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+EXPORT const char *crane_layout(void);
+EXPORT size_t crane_memory(int elements);
+EXPORT void crane_create(void *memory, const Settings *settings);
+EXPORT int crane_step(void *memory, double h, const Command *command, Failure *failure);
+EXPORT void crane_outputs(const void *memory, Outputs *outputs);
+EXPORT size_t crane_state_count(int elements);
+EXPORT double *crane_state(void *memory);
+
+/* Of what the two hand each other, for kernel.py to compare with its own. */
+const char *crane_layout(void) { return LAYOUT; }
+
+size_t crane_memory(int elements) { return CRANE.memory(elements); }
+
+void crane_create(void *memory, const Settings *settings) { CRANE.create(memory, settings); }
+
+int crane_step(void *memory, double h, const Command *command, Failure *failure) {
+    return CRANE.step(memory, h, command, failure);
+}
+
+void crane_outputs(const void *memory, Outputs *outputs) { CRANE.outputs(memory, outputs); }
+
+size_t crane_state_count(int elements) { return CRANE.state_count(elements); }
+
+double *crane_state(void *memory) { return CRANE.state(memory); }

@@ -1,0 +1,268 @@
+/* The nonlinear crane, a chain of truss elements; the twin of chaincrane/plant/nonlinear.py.
+
+   Source: Maourane & Szabo, Pollack Periodica 15(2), 2020, 82-93, section 2.1 (its numbers in
+   brackets), with the corrections that documentation/EQUATIONS.md lists. */
+
+#include <string.h>
+
+#include "crane.h"
+#include "energy_momentum.h"
+#include "newmark.h"
+
+static Step *const SCHEME[] = {[SOLVER_SCHEME_ENERGY_MOMENTUM] = energy_momentum_step,
+                               [SOLVER_SCHEME_NEWMARK] = newmark_step};
+
+/* A state: numbers by name, then r (n), w (n), a (n) as x, y pairs, then the tension (n). */
+typedef struct {
+    NonlinearState *head;
+    Motion motion;
+} State;
+
+typedef struct {
+    State state, trial; /* committed, and during a communication step */
+    Workspace work;
+} NonlinearCrane;
+
+static double mechanical_energy(const Chain *c, const Motion *motion, double trolley_v) {
+    return kinetic_energy(c, motion->w, trolley_v) + potential_energy(c, motion->r);
+}
+
+/* The largest so far of start above rest + (M + m) (v - v_start)^2/2 + |work of the payload's
+   force|, J: what the trolley and that force can have put into the swing, in any frame. */
+static double energy_scale(const Chain *c, const NonlinearState *s, double trolley_v) {
+    double speed = c->settings.initial_speed, changed = trolley_v - speed;
+    double start = s->shared.ledger_start - 0.5 * c->total_mass * speed * speed;
+    return larger(s->scale, start + 0.5 * c->total_mass * changed * changed +
+                                fabs(s->shared.ledger_payload));
+}
+
+/* The next step is a new start for the scheme. */
+static void forget_load(const Chain *c, State *s) {
+    s->head->loaded = 0.0;
+    memset(&s->head->last_command, 0, sizeof s->head->last_command);
+    for (int i = 0; i < c->n; i++) s->motion.a[i] = (Vector){NAN, NAN};
+}
+
+/* Whether the load jumps between two steps; the trolley's velocity is no load. */
+static int jumps(const Command *before, const Command *after) {
+    Command held = *before;
+    const double *a = (const double *)&held, *b = (const double *)after;
+    held.trolley_v_cmd = after->trolley_v_cmd;
+    for (int i = 0; i < INPUTS; i++)
+        if (a[i] != b[i]) return 1;
+    return 0;
+}
+
+/* The trolley's velocity jumps to ``after``: M_ff dw = -b dv; the impulse works at the mean v. */
+static void jump(Workspace *work, State *s, double after) {
+    const Chain *c = &work->chain;
+    SharedState *shared = &s->head->shared;
+    double before = shared->trolley_v, dv = after - before;
+    if (dv == 0.0) return;
+    Vector *dw = work->unknown;
+    for (int i = 0; i < c->n; i++) dw[i] = (Vector){-row_mass(c, i) * dv, 0.0};
+    mass_solve(c, work->l0, dw);
+    for (int i = 0; i < c->n; i++) {
+        s->motion.w[i].x += dw[i].x;
+        s->motion.w[i].y += dw[i].y;
+    }
+    double impulse = c->row_mass0 * dv + c->coupling * dw[0].x;
+    shared->ledger_trolley += 0.5 * (before + after) * impulse;
+    s->head->energy = mechanical_energy(c, &s->motion, after);
+    s->head->scale = energy_scale(c, s->head, after);
+    forget_load(c, s);
+}
+
+/* Energy now against before + work - dissipation: ``ledger`` is the expected energy now. */
+static Outcome check_energy(const Chain *c, const NonlinearState *s, double ledger, double energy,
+                            double h, Failure *failure) {
+    double weight = c->settings.gravity * c->total_mass;
+    double floor = ROUND_OFF_ENERGY * weight * c->settings.chain_length;
+    double scale = s->scale;
+    double total = energy - ledger, step = total - (s->energy - expected_energy(&s->shared));
+    if (!(fabs(step) <= STEP_ENERGY_TOLERANCE * scale + floor)) {
+        *failure = (Failure){0.0, h, step, scale, STEP_ENERGY_TOLERANCE};
+        return STEP_ENERGY;
+    }
+    if (!(fabs(total) <= TOTAL_ENERGY_TOLERANCE * scale + floor)) {
+        *failure = (Failure){0.0, h, total, scale, TOTAL_ENERGY_TOLERANCE};
+        return TOTAL_ENERGY;
+    }
+    return DONE;
+}
+
+/* One step of the scheme; the trial state moves on if its energy balance is good. */
+static Outcome attempt(NonlinearCrane *crane, const Load *load, double h, Failure *failure) {
+    Workspace *work = &crane->work;
+    const Chain *c = &work->chain;
+    const Motion *motion = &crane->trial.motion, *end = &work->end;
+    NonlinearState *head = crane->trial.head;
+    size_t nodes = (size_t)c->n * sizeof(Vector);
+    StepResult result = {0};
+    int scheme = (int)c->settings.solver_scheme;
+    if (head->loaded != 0.0 && jumps(&head->last_command, &load->command))
+        forget_load(c, &crane->trial); /* accelerations start anew */
+    Outcome outcome = SCHEME[scheme](work, motion, load, h, &result);
+    head->shared.iterations += result.iterations;
+    if (outcome != DONE) {
+        *failure = (Failure){0.0, h, 0.0, 0.0, 0.0};
+        return outcome;
+    }
+    NonlinearState next = *head;
+    next.shared.ledger_trolley += result.work_trolley;
+    next.shared.ledger_payload += result.work_payload;
+    next.shared.ledger_dissipated += result.dissipated;
+    next.energy = mechanical_energy(c, end, trolley_v_after(load, h));
+    outcome = check_energy(c, head, expected_energy(&next.shared), next.energy, h, failure);
+    if (outcome != DONE) return outcome;
+    next.scale = energy_scale(c, &next, trolley_v_after(load, h));
+    next.trolley_fx = result.trolley_fx;
+    next.loaded = 1.0;
+    next.last_command = load->command;
+    next.shared.steps += 1.0;
+    *head = next;
+    memcpy(motion->r, end->r, nodes);
+    memcpy(motion->w, end->w, nodes);
+    memcpy(motion->a, end->a, nodes);
+    memcpy(motion->tension, end->tension, (size_t)c->n * sizeof(double));
+    return DONE;
+}
+
+/* One internal step; where it fails it is halved, at most MAX_HALVINGS times over. ``v``: the
+   trolley's velocity at the communication step's start. */
+static Outcome internal_step(NonlinearCrane *crane, double v, const Command *command,
+                             double elapsed, double h, int halvings, Failure *failure) {
+    Load load = {v + elapsed * command->trolley_a_cmd, *command};
+    Outcome outcome = attempt(crane, &load, h, failure);
+    if (outcome == DONE) return DONE;
+    if (halvings == MAX_HALVINGS) {
+        failure->time = crane->trial.head->shared.time + elapsed;
+        return outcome;
+    }
+    h *= 0.5;
+    outcome = internal_step(crane, v, command, elapsed, h, halvings + 1, failure);
+    if (outcome != DONE) return outcome;
+    return internal_step(crane, v, command, elapsed + h, h, halvings + 1, failure);
+}
+
+/* ---- memory ---- */
+
+static State state_at(double *memory, int n) {
+    State s;
+    s.head = (NonlinearState *)memory;
+    s.motion.r = (Vector *)(memory + sizeof(NonlinearState) / sizeof(double));
+    s.motion.w = s.motion.r + n;
+    s.motion.a = s.motion.w + n;
+    s.motion.tension = (double *)(s.motion.a + n);
+    return s;
+}
+
+static size_t state_count(int elements) {
+    return sizeof(NonlinearState) / sizeof(double) + 7 * (size_t)elements;
+}
+
+static size_t rounded(size_t bytes) { return (bytes + 15) / 16 * 16; }
+
+/* Hand out the next ``bytes`` of the memory at ``used``; only count them where memory is NULL. */
+static void *take(char *memory, size_t *used, size_t bytes) {
+    void *start = memory ? memory + *used : NULL;
+    *used += rounded(bytes);
+    return start;
+}
+
+/* Lay a crane out in ``memory``, or count only where it is NULL; bytes. */
+static size_t lay_out(NonlinearCrane *crane, char *memory, int elements) {
+    size_t used = rounded(sizeof(NonlinearCrane)), n = (size_t)elements;
+    size_t state = state_count(elements) * sizeof(double);
+    double *committed = take(memory, &used, state), *trial = take(memory, &used, state);
+    Vector *vectors = take(memory, &used, 8 * n * sizeof(Vector));
+    double *numbers = take(memory, &used, 2 * n * sizeof(double));
+    Block *blocks = take(memory, &used, 4 * n * sizeof(Block));
+    if (memory) {
+        Workspace *work = &crane->work;
+        crane->state = state_at(committed, elements);
+        crane->trial = state_at(trial, elements);
+        work->end = (Motion){vectors, vectors + n, vectors + 2 * n, numbers};
+        work->a0 = vectors + 3 * n;
+        work->d0 = vectors + 4 * n;
+        work->d1 = vectors + 5 * n;
+        work->moved = vectors + 6 * n;
+        work->unknown = vectors + 7 * n;
+        work->l0 = numbers + n;
+        work->banded = (Banded){blocks, blocks + n, blocks + 2 * n, blocks + 3 * n};
+    }
+    return used;
+}
+
+static size_t memory_size(int elements) { return lay_out(NULL, NULL, elements); }
+
+static double *state(void *memory) { return (double *)((NonlinearCrane *)memory)->state.head; }
+
+/* ---- the crane ---- */
+
+static void create(void *memory, const Settings *settings) {
+    NonlinearCrane *crane = memory;
+    Chain *c = &crane->work.chain;
+    int n = (int)settings->chain_elements;
+    memset(memory, 0, memory_size(n));
+    lay_out(crane, memory, n);
+    discretise(c, settings);
+    for (int i = 0; i < n; i++) crane->work.end.a[i] = (Vector){NAN, NAN};
+    straight_chain(c, 0.0, crane->work.end.r);
+    c->rest_potential = potential_energy(c, crane->work.end.r);
+    State *s = &crane->state;
+    Motion *motion = &s->motion;
+    straight_chain(c, settings->initial_sway_angle, motion->r);
+    for (int e = 0; e < n; e++) motion->tension[e] = axial_force(c, norm(along(motion->r, e)));
+    s->head->shared.trolley_v = settings->initial_speed;
+    s->head->energy = mechanical_energy(c, motion, settings->initial_speed);
+    s->head->shared.ledger_start = s->head->energy;
+    s->head->scale = potential_energy(c, motion->r);
+    forget_load(c, s);
+    double top = norm(motion->r[0]);
+    s->head->trolley_fx = 0.0 - motion->tension[0] * motion->r[0].x / top; /* no -0 */
+}
+
+static Outcome step(void *memory, double h, const Command *command, Failure *failure) {
+    NonlinearCrane *crane = memory;
+    const Settings *settings = &crane->work.chain.settings;
+    State *s = &crane->trial;
+    SharedState *shared = &s->head->shared;
+    size_t bytes = state_count(crane->work.chain.n) * sizeof(double);
+    if (!is_allowed(&crane->state.head->shared, settings, h, command)) return BAD_VALUE;
+    memcpy(s->head, crane->state.head, bytes);
+    double v = commanded(shared, command), count = equal_parts(h, settings->solver_max_step);
+    jump(&crane->work, s, v);
+    shared->steps = shared->iterations = 0.0;
+    for (double i = 0.0; i < count; i += 1.0) {
+        Outcome outcome =
+            internal_step(crane, v, command, i * h / count, h / count, 0, failure);
+        if (outcome != DONE) return outcome;
+    }
+    shared->time += h;
+    move_trolley(shared, h, command);
+    memcpy(crane->state.head, s->head, bytes);
+    return DONE;
+}
+
+static void outputs(const void *memory, Outputs *o) {
+    const NonlinearCrane *crane = memory;
+    const Chain *c = &crane->work.chain;
+    const NonlinearState *head = crane->state.head;
+    const Motion *motion = &crane->state.motion;
+    Posture posture = {.node1 = motion->r[0],
+                       .payload = motion->r[c->n - 1],
+                       .payload_w = motion->w[c->n - 1]};
+    for (int i = 0; i < POINTS; i++) {
+        double fraction = material_fraction(i);
+        posture.points[i] = (Vector){interpolate(c, &motion->r->x, 2, fraction),
+                                     interpolate(c, &motion->r->y, 2, fraction)};
+    }
+    shared_outputs(&head->shared, &posture, head->energy, o);
+    o->trolley_fx = head->trolley_fx;
+    o->chain_tension_top = o->chain_tension_min = motion->tension[0];
+    for (int e = 1; e < c->n; e++)
+        if (motion->tension[e] < o->chain_tension_min) o->chain_tension_min = motion->tension[e];
+}
+
+const CraneModel CRANE = {memory_size, create, step, outputs, state_count, state};

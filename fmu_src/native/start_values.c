@@ -1,0 +1,86 @@
+/* Values of inputs and parameters; see start_values.h. */
+
+#include "start_values.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "text.h"
+
+static int is_finite(double value) { return value - value == 0.0; }
+
+void take_start_values(Values *values) {
+    memset(values, 0, sizeof *values);
+    for (int i = 0; i < SETTABLE; i++) {
+        values->number[i] = VARIABLE[i].start;
+        if (VARIABLE[i].kind == STRING)
+            strcpy(values->text[VARIABLE[i].text], VARIABLE[i].start_text);
+    }
+}
+
+void not_allowed(char message[MESSAGE_SIZE], const char *name, const char *value,
+                 const char *allowed) {
+    snprintf(message, MESSAGE_SIZE, "%s = %s is not allowed: %s", name, value, allowed);
+}
+
+void bad_number(char message[MESSAGE_SIZE], const char *name, double value, const char *allowed) {
+    char number[NUMBER_SIZE];
+    not_allowed(message, name, text_repr(number, value), allowed);
+}
+
+/* Place of a text among those that are allowed; -1 if it is none of them. */
+static int choice(const Values *values, int variable) {
+    const char *const *choices = VARIABLE[variable].choices;
+    for (int i = 0; choices[i]; i++)
+        if (strcmp(values->text[VARIABLE[variable].text], choices[i]) == 0) return i;
+    return -1;
+}
+
+/* parameters.py: EA, N, whose tension moves by a thousandth of the weight with a position's last
+   digit. */
+static double stiffest(const double *number) {
+    double weight = number[VR_GRAVITY] * (number[VR_CHAIN_MASS] + number[VR_PAYLOAD_MASS]);
+    return UNSTEADY * weight / (LAST_DIGIT * number[VR_CHAIN_ELEMENTS]);
+}
+
+static int too_stiff(const double *number, char message[MESSAGE_SIZE]) {
+    char most[NUMBER_SIZE], allowed[NUMBER_SIZE + 64];
+    if (!(stiffest(number) < number[VR_CHAIN_EA])) return 0;
+    snprintf(allowed, sizeof allowed,
+             "at most %s N: beyond, round-off outweighs these masses and elements",
+             text_general(most, 3, stiffest(number)));
+    bad_number(message, VARIABLE[VR_CHAIN_EA].name, number[VR_CHAIN_EA], allowed);
+    return 1;
+}
+
+int bad_parameter(const Values *values, char message[MESSAGE_SIZE]) {
+    for (int i = INPUTS; i < SETTABLE; i++) {
+        const Variable *variable = &VARIABLE[i];
+        double value = values->number[i];
+        char text[TEXT_SIZE + 2];
+        if (variable->kind == STRING) {
+            if (choice(values, i) >= 0) continue;
+            snprintf(text, sizeof text, "'%s'", values->text[variable->text]);
+        } else {
+            if (is_finite(value) && value >= variable->minimum && value <= variable->maximum) {
+                if (i == VR_CHAIN_ELEMENTS && too_stiff(values->number, message)) return 1;
+                continue;
+            }
+            if (variable->kind == INTEGER) snprintf(text, sizeof text, "%.0f", value);
+            else text_repr(text, value);
+        }
+        not_allowed(message, variable->name, text, variable->allowed);
+        return 1;
+    }
+    return 0;
+}
+
+Settings settings_of(const Values *values) {
+    Settings settings;
+    double *member = (double *)&settings;
+    for (int i = INPUTS; i < SETTABLE; i++) {
+        int text = VARIABLE[i].kind == STRING;
+        member[i - INPUTS] = text ? choice(values, i) : values->number[i];
+    }
+    return settings;
+}
