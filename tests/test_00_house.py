@@ -42,7 +42,7 @@ WITH_TWINS = [
     "chain.h",
     "chain.c",
     "crane.c",
-    "banded.c",
+    "banded.h",
     "energy_momentum.c",
     "newmark.c",
     "nonlinear.c",

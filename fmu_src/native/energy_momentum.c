@@ -89,6 +89,7 @@ static void move_nodes(Workspace *work, const Motion *from) {
 static void residual(Workspace *work, const Motion *from, const Load *load, double h,
                      double viscosity, double inertia) {
     const Chain *c = &work->chain;
+    const Command command = load->command; /* a copy: nothing that is written can change it */
     double trolley_v = trolley_v_after(load, 0.5 * h);
     Vector *change = work->end.w, *unknown = work->unknown; /* w is free until the step is done */
     for (int i = 0; i < c->n; i++) {
@@ -98,7 +99,7 @@ static void residual(Workspace *work, const Motion *from, const Load *load, doub
     }
     for (int i = 0; i < c->n; i++) {
         ElementForce f = element_force(work, viscosity, i);
-        Vector steady = applied_force(c, &load->command, trolley_v, i);
+        Vector steady = applied_force(c, &command, trolley_v, i);
         work->banded.tangent[i] = f.tangent;
         unknown[i] = minus(minus(steady, mass_times(c, change, i)), f.pull);
         if (i) {
@@ -147,6 +148,7 @@ static inline Vector taut_pull(const Workspace *work, const Motion *from, int e)
 static const Vector *expected_velocity(Workspace *work, const Motion *from, const Load *load,
                                        double h) {
     const Chain *c = &work->chain;
+    const Command command = load->command; /* a copy, as in residual */
     double trolley_v = trolley_v_after(load, 0.5 * h);
     double inertia = 2.0 / h + c->settings.damping_air;
     double coupling = 0.0, above = 0.0; /* matrix entry and factor between nodes i-1 and i */
@@ -157,7 +159,7 @@ static const Vector *expected_velocity(Workspace *work, const Motion *from, cons
         int end = i == c->n - 1;
         double below = end ? 0.0 : taut_stiffness(work, from, i + 1);
         Vector pull_below = end ? (Vector){0.0, 0.0} : taut_pull(work, from, i + 1);
-        Vector steady = applied_force(c, &load->command, trolley_v, i);
+        Vector steady = applied_force(c, &command, trolley_v, i);
         Vector f = minus(steady, minus(pull, pull_below));
         Vector momentum = mass_times(c, from->w, i), known = i ? u[i - 1] : (Vector){0.0, 0.0};
         double pivot = inertia * node_mass(c, i) + 0.5 * h * (stiffness + below) - coupling * above;

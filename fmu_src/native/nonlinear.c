@@ -123,7 +123,7 @@ static Outcome attempt(NonlinearCrane *crane, const Load *load, double h, Failur
     *head = next;
     memcpy(motion->r, end->r, nodes);
     memcpy(motion->w, end->w, nodes);
-    memcpy(motion->a, end->a, nodes);
+    if (!is_nan(end->a[0].x)) memcpy(motion->a, end->a, nodes); /* newmark keeps them */
     memcpy(motion->tension, end->tension, (size_t)c->n * sizeof(double));
     return DONE;
 }
