@@ -76,9 +76,9 @@ def test_importer_agrees_with_fmpy(
         input=[(0.0, {"trolley.v_cmd": SPEED}), (STOP_AT, {"trolley.v_cmd": 0.0})],
     )
     python = python_for(script)
-    path = Path(__file__).parent / "importers" / f"{script}.py"
     done = subprocess.run(
-        [python, str(path), json.dumps(dataclasses.asdict(case))],
+        [python, "-m", f"importers.{script}", json.dumps(dataclasses.asdict(case))],
+        cwd=Path(__file__).parent,
         capture_output=True,
         text=True,
         timeout=300,

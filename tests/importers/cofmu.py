@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from case import from_command_line
 from cofmupy import Coordinator, wrappers
+from importers.case import from_command_line
 
 MODEL = "crane"
 

@@ -6,9 +6,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from case import from_command_line
 from fmpy import read_model_description, simulate_fmu
 from fmu_manipulation_toolbox.container import FMUContainer
+from importers.case import from_command_line
 
 case = from_command_line()
 fmu = Path(case.fmu)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import zipfile
 from xml.etree import ElementTree
 
-from case import from_command_line
 from ecospy import EcosLib, EcosSimulation, EcosSimulationStructure
+from importers.case import from_command_line
 
 MODEL, PARAMETERS = "crane", "start"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from case import from_command_line
+from importers.case import from_command_line
 from libcosimpy.CosimEnums import CosimVariableType
 from libcosimpy.CosimExecution import CosimExecution
 from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
