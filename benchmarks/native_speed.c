@@ -27,7 +27,7 @@ static const double H = 1e-3;
 static const fmi2ValueReference COMMANDED[INPUTS] = {VR_TROLLEY_V_CMD, VR_TROLLEY_A_CMD,
                                                      VR_PAYLOAD_FX};
 static const fmi2ValueReference SEEN[LOOKED_AT] = {
-    VR_TROLLEY_X, VR_TROLLEY_V,         VR_PAYLOAD_X,        VR_PAYLOAD_Y,
+    VR_TROLLEY_X,     VR_TROLLEY_V,       VR_PAYLOAD_X,        VR_PAYLOAD_Y,
     VR_PAYLOAD_X_REL, VR_CHAIN_MID_X_REL, VR_CHAIN_TENSION_TOP};
 static const fmi2ValueReference EFFORT[2] = {VR_SOLVER_STEPS, VR_SOLVER_ITERATIONS};
 
@@ -163,7 +163,7 @@ int main(int count, char **arguments) {
                (fmi2ExitInitializationModeTYPE *)symbol(library, "fmi2ExitInitializationMode")};
     const CraneModel *crane = symbol(bare, "CRANE");
     int steps = 0, room = PART * PARTS, rounds = atoi(arguments[5]), starts = count - 6;
-    double(*commands)[INPUTS] = malloc((size_t)room * sizeof *commands);
+    double (*commands)[INPUTS] = malloc((size_t)room * sizeof *commands);
     double *least = malloc((size_t)room * sizeof *least);
     if (!commands || !least) fail("no memory");
     while (steps < room && fscanf(file, "%lf %lf %lf", &commands[steps][0], &commands[steps][1],

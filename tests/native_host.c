@@ -203,8 +203,7 @@ static void *work(void *argument) {
 
 static void in_threads(Work *all) {
     pthread_t threads[THREADS];
-    for (int i = 0; i < THREADS; i++)
-        CHECK(pthread_create(&threads[i], NULL, work, &all[i]) == 0);
+    for (int i = 0; i < THREADS; i++) CHECK(pthread_create(&threads[i], NULL, work, &all[i]) == 0);
     for (int i = 0; i < THREADS; i++) CHECK(pthread_join(threads[i], NULL) == 0);
 }
 #endif
@@ -372,8 +371,8 @@ static void ramp(const Fmu *fmu) {
         CHECK(fmu->DoStep(truth, t, h, fmi2True) == fmi2OK);
         t += h;
         for (fmi2ValueReference out = SETTABLE; out < VR_SOLVER_STEPS; out++) {
-            int force = out == VR_TROLLEY_FX || out == VR_CHAIN_TENSION_TOP ||
-                        out == VR_CHAIN_TENSION_MIN;
+            int force =
+                out == VR_TROLLEY_FX || out == VR_CHAIN_TENSION_TOP || out == VR_CHAIN_TENSION_MIN;
             CHECK(fabs(get(fmu, c, out) - get(fmu, truth, out)) < (force ? 1e-5 : 1e-9));
         }
     }

@@ -21,8 +21,8 @@ static inline Vector times(Block b, Vector v) {
 }
 
 static inline Block product(Block a, Block b) {
-    return (Block){a.xx * b.xx + a.xy * b.yx, a.xx * b.xy + a.xy * b.yy,
-                   a.yx * b.xx + a.yy * b.yx, a.yx * b.xy + a.yy * b.yy};
+    return (Block){a.xx * b.xx + a.xy * b.yx, a.xx * b.xy + a.xy * b.yy, a.yx * b.xx + a.yy * b.yx,
+                   a.yx * b.xy + a.yy * b.yy};
 }
 
 /* M_ff x = load by Thomas elimination, safe because M is diagonally dominant; ``factor``: room for n

@@ -12,8 +12,7 @@ double commanded(const SharedState *now, const Command *command) {
     return command->trolley_v_cmd + now->trolley_gained;
 }
 
-int is_allowed(const SharedState *now, const Settings *settings, double h,
-               const Command *command) {
+int is_allowed(const SharedState *now, const Settings *settings, double h, const Command *command) {
     const double *input = (const double *)command;
     SharedState after = *now;
     for (int i = 0; i < INPUTS; i++)

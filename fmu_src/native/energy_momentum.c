@@ -58,8 +58,8 @@ static void step_result(Workspace *work, const Motion *from, const Load *load, d
         stretch2 += stretch * stretch;
         end->tension[i] = f.tension;
         if (i == 0) top_pull = f.pull;
-        end->w[i] = (Vector){2.0 / h * moved[i].x - from->w[i].x,
-                             2.0 / h * moved[i].y - from->w[i].y};
+        end->w[i] =
+            (Vector){2.0 / h * moved[i].x - from->w[i].x, 2.0 / h * moved[i].y - from->w[i].y};
     }
     double node1 = (end->w[0].x - from->w[0].x) / h + air * (moved[0].x / h);
     result->trolley_fx = carried_force(c, &load->command, trolley_v, node1) - top_pull.x;

@@ -16,7 +16,9 @@
 #include "start_values.h"
 #include "text.h"
 
-static const double CONTINUES = 1e-12; /* of a velocity: a jump that is none */
+/* Of a velocity: what a command on a slope may be off by at the end of a step and still go on from
+   there without a jump. */
+static const double CONTINUES = 1e-12;
 
 typedef enum { INSTANTIATED, INITIALISING, STEPPING, TERMINATED } Phase;
 
@@ -32,12 +34,12 @@ typedef struct {
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
     char *name;
-    unsigned logged;         /* a bit for each of LOG_CATEGORY */
+    unsigned logged; /* a bit for each of LOG_CATEGORY */
     Phase phase;
-    double time;             /* s, reached */
+    double time; /* s, reached */
     Values values;
-    void *memory;            /* the model's, or NULL: there is none */
-    double *before;          /* the model's state before a step in parts */
+    void *memory;   /* the model's, or NULL: there is none */
+    double *before; /* the model's state before a step in parts */
     int observed;
     Outputs seen;
     fmi2Status last_step;
@@ -106,8 +108,7 @@ static fmi2Status observe(Instance *c) {
 }
 
 /* errors.py: why the model's step failed. */
-static void describe_failure(Outcome outcome, const Failure *failure,
-                             char message[MESSAGE_SIZE]) {
+static void describe_failure(Outcome outcome, const Failure *failure, char message[MESSAGE_SIZE]) {
     char t[NUMBER_SIZE], h[NUMBER_SIZE], defect[NUMBER_SIZE], scale[NUMBER_SIZE];
     char allowed[NUMBER_SIZE];
     text_general(t, 6, failure->time);
@@ -180,7 +181,8 @@ static int bad_step(const Instance *c, double h, char message[MESSAGE_SIZE]) {
     }
     SharedState after = *shared(c);
     Command command = command_at(c, 0.0, h);
-    command.trolley_a_cmd = slope[VR_TROLLEY_V_CMD] + input[VR_TROLLEY_A_CMD] + h * slope[VR_TROLLEY_A_CMD];
+    command.trolley_a_cmd =
+        slope[VR_TROLLEY_V_CMD] + input[VR_TROLLEY_A_CMD] + h * slope[VR_TROLLEY_A_CMD];
     move_trolley(&after, h, &command);
     if (!is_finite(after.trolley_x) || !is_finite(after.trolley_v)) {
         bad_number(message, VARIABLE[VR_TROLLEY_V_CMD].name, input[VR_TROLLEY_V_CMD],
@@ -300,8 +302,8 @@ fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean loggingOn, s
 }
 
 fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean toleranceDefined,
-                               fmi2Real tolerance, fmi2Real startTime,
-                               fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
+                               fmi2Real tolerance, fmi2Real startTime, fmi2Boolean stopTimeDefined,
+                               fmi2Real stopTime) {
     Instance *c = component;
     (void)toleranceDefined, (void)tolerance, (void)stopTimeDefined, (void)stopTime;
     if (!c) return fmi2Error;
@@ -369,7 +371,8 @@ static fmi2Status get_numbers(Instance *c, Kind kind, const fmi2ValueReference v
         if (!is_kind(kind, vr[i])) return no_variable(c, kind, vr[i]);
     for (size_t i = 0; i < nvr; i++) {
         if (vr[i] >= SETTABLE && !c->observed && status == fmi2OK) status = observe(c);
-        double value = vr[i] < SETTABLE ? c->values.number[vr[i]] : ((const double *)&c->seen)[vr[i] - SETTABLE];
+        double value = vr[i] < SETTABLE ? c->values.number[vr[i]]
+                                        : ((const double *)&c->seen)[vr[i] - SETTABLE];
         if (real) real[i] = value;
         else whole[i] = is_finite(value) ? (fmi2Integer)value : 0;
     }
@@ -417,8 +420,7 @@ static fmi2Status check_set(const Instance *c, Kind kind, fmi2ValueReference ref
                  "%s is a parameter: it is fixed when initialisation ends, and cannot be set to"
                  " %s now",
                  name, value);
-    else
-        return fmi2OK;
+    else return fmi2OK;
     return refuse(c, message);
 }
 
@@ -500,8 +502,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component component, const fmi2ValueR
         else if (!is_finite(value[i]))
             snprintf(message, sizeof message, "%s: a derivative must be a finite number",
                      VARIABLE[vr[i]].name);
-        else
-            continue;
+        else continue;
         return refuse(c, message);
     }
     for (size_t i = 0; i < nvr; i++) c->values.slope[vr[i]] = value[i];
@@ -649,9 +650,10 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
         wrong = "the saved state is damaged, or not a chaincrane state";
     if (wrong) return refuse(c, wrong);
     size_t parameters = (SETTABLE - INPUTS) * sizeof(double);
-    int same = c->memory &&
-               memcmp(c->values.number + INPUTS, snapshot.values.number + INPUTS, parameters) == 0 &&
-               memcmp(c->values.text, snapshot.values.text, sizeof c->values.text) == 0;
+    int same =
+        c->memory &&
+        memcmp(c->values.number + INPUTS, snapshot.values.number + INPUTS, parameters) == 0 &&
+        memcmp(c->values.text, snapshot.values.text, sizeof c->values.text) == 0;
     if (count && (!same || count != state_count(c))) {
         Instance made = {.values = snapshot.values};
         if (!build(&made, message)) return refuse(c, message);

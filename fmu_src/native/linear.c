@@ -143,7 +143,8 @@ static double normalise(const LinearCrane *c, double *shape) {
 static void modes(LinearCrane *c) {
     /* no omega^2 is above the largest one of an element alone */
     double element = c->chain.settings.chain_mass / c->chain.n, low = 0.0;
-    double high = 2.0 * hanging_tension(&c->chain, 0) / c->chain.L0 / (0.5 * element - 2.0 * c->chain.coupling);
+    double high = 2.0 * hanging_tension(&c->chain, 0) / c->chain.L0 /
+                  (0.5 * element - 2.0 * c->chain.coupling);
     double *shape = c->nodal, *straight = c->other;
     high *= 1.0 + ABOVE_ALL;
     stiffness_matrix(c);
@@ -161,7 +162,8 @@ static void modes(LinearCrane *c) {
         c->node1[mode] = shape[0];
         c->payload[mode] = shape[c->chain.n - 1];
         for (int point = 0; point < POINTS; point++)
-            c->points[mode * POINTS + point] = interpolate(&c->chain, shape, 1, material_fraction(point));
+            c->points[mode * POINTS + point] =
+                interpolate(&c->chain, shape, 1, material_fraction(point));
     }
 }
 
@@ -194,14 +196,16 @@ static void prepare_response(LinearCrane *c, double h) {
 
 /* Kinetic energy, J, that the trolley's velocity adds to the relative motion's. */
 static double carried(const LinearCrane *c, Motion motion, double trolley_v) {
-    return trolley_v * product(c->push, motion.rate, c->chain.n) + 0.5 * c->chain.total_mass * trolley_v * trolley_v;
+    return trolley_v * product(c->push, motion.rate, c->chain.n) +
+           0.5 * c->chain.total_mass * trolley_v * trolley_v;
 }
 
 /* 1/2 v^T M v + 1/2 q^T K q, J, with absolute velocities v, in modal coordinates. */
 static double energy(const LinearCrane *c, Motion motion, double trolley_v) {
     double elastic = 0.0;
     for (int i = 0; i < c->chain.n; i++) elastic += c->squares[i] * motion.eta[i] * motion.eta[i];
-    return 0.5 * product(motion.rate, motion.rate, c->chain.n) + 0.5 * elastic + carried(c, motion, trolley_v);
+    return 0.5 * product(motion.rate, motion.rate, c->chain.n) + 0.5 * elastic +
+           carried(c, motion, trolley_v);
 }
 
 /* Horizontal momentum of chain and payload, kg m/s. */
@@ -212,7 +216,8 @@ static double momentum(const LinearCrane *c, Motion motion, double trolley_v) {
 /* Modal load p0 + p1 t of a trolley at v + a t in air, and of the payload's force. */
 static double load_now(const LinearCrane *c, Load load, int i) {
     double air = c->chain.settings.damping_air;
-    return -c->push[i] * (load.command->trolley_a_cmd + air * load.v) + c->payload[i] * load.command->payload_fx;
+    return -c->push[i] * (load.command->trolley_a_cmd + air * load.v) +
+           c->payload[i] * load.command->payload_fx;
 }
 
 static double load_slope(const LinearCrane *c, Load load, int i) {
@@ -373,10 +378,10 @@ static void create(void *memory, const Settings *settings) {
     memset(memory, 0, memory_size(n));
     discretise(&c->chain, settings);
     double *next = (double *)((char *)memory + head_size());
-    double **arrays[ARRAYS - POINTS] = {
-        &c->squares,    &c->push,        &c->node1,  &c->payload, &c->s,          &c->s_dot,
-        &c->jumped.eta, &c->jumped.rate, &c->at.eta, &c->at.rate, &c->K_diagonal, &c->K_coupling,
-        &c->down,       &c->up,          &c->nodal,  &c->other};
+    double **arrays[ARRAYS - POINTS] = {&c->squares, &c->push,    &c->node1,      &c->payload,
+                                        &c->s,       &c->s_dot,   &c->jumped.eta, &c->jumped.rate,
+                                        &c->at.eta,  &c->at.rate, &c->K_diagonal, &c->K_coupling,
+                                        &c->down,    &c->up,      &c->nodal,      &c->other};
     for (int i = 0; i < ARRAYS - POINTS; i++, next += n) *arrays[i] = next;
     c->points = next;
     next += POINTS * n;

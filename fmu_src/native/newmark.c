@@ -60,8 +60,8 @@ static double damping_work(Workspace *work, const Motion *from, double v0, doubl
     if (air != 0.0) {
         double friction = 0.0, row_path = 0.0, momentum = c->total_mass * v;
         for (int i = 0; i < c->n; i++)
-            mean[i] = (Vector){0.5 * (from->w[i].x + end->w[i].x),
-                               0.5 * (from->w[i].y + end->w[i].y)};
+            mean[i] =
+                (Vector){0.5 * (from->w[i].x + end->w[i].x), 0.5 * (from->w[i].y + end->w[i].y)};
         for (int i = 0; i < c->n; i++) {
             Vector path = minus(end->r[i], from->r[i]);
             friction += dot(path, mass_times(c, mean, i));

@@ -16,8 +16,8 @@ int __stdcall DllMainCRTStartup(void *library, unsigned long reason, void *reser
 }
 
 /* What ucrtbase.dll has of snprintf; C headers make the rest of it. */
-int __stdio_common_vsprintf(unsigned long long options, char *out, size_t size,
-                            const char *format, void *locale, va_list arguments);
+int __stdio_common_vsprintf(unsigned long long options, char *out, size_t size, const char *format,
+                            void *locale, va_list arguments);
 
 int snprintf(char *out, size_t size, const char *format, ...);
 int snprintf(char *out, size_t size, const char *format, ...) {

@@ -32,8 +32,8 @@ static double mechanical_energy(const Chain *c, const Motion *motion, double tro
 static double energy_scale(const Chain *c, const NonlinearState *s, double trolley_v) {
     double speed = c->settings.initial_speed, changed = trolley_v - speed;
     double start = s->shared.ledger_start - 0.5 * c->total_mass * speed * speed;
-    return larger(s->scale, start + 0.5 * c->total_mass * changed * changed +
-                                fabs(s->shared.ledger_payload));
+    return larger(s->scale,
+                  start + 0.5 * c->total_mass * changed * changed + fabs(s->shared.ledger_payload));
 }
 
 /* The next step is a new start for the scheme. */
@@ -235,8 +235,7 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
     jump(&crane->work, s, v);
     shared->steps = shared->iterations = 0.0;
     for (double i = 0.0; i < count; i += 1.0) {
-        Outcome outcome =
-            internal_step(crane, v, command, i * h / count, h / count, 0, failure);
+        Outcome outcome = internal_step(crane, v, command, i * h / count, h / count, 0, failure);
         if (outcome != DONE) return outcome;
     }
     shared->time += h;
@@ -250,9 +249,8 @@ static void outputs(const void *memory, Outputs *o) {
     const Chain *c = &crane->work.chain;
     const NonlinearState *head = crane->state.head;
     const Motion *motion = &crane->state.motion;
-    Posture posture = {.node1 = motion->r[0],
-                       .payload = motion->r[c->n - 1],
-                       .payload_w = motion->w[c->n - 1]};
+    Posture posture = {
+        .node1 = motion->r[0], .payload = motion->r[c->n - 1], .payload_w = motion->w[c->n - 1]};
     for (int i = 0; i < POINTS; i++) {
         double fraction = material_fraction(i);
         posture.points[i] = (Vector){interpolate(c, &motion->r->x, 2, fraction),

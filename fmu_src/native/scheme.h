@@ -34,11 +34,11 @@ typedef struct {
 /* A chain, and the memory that a scheme works in. */
 typedef struct {
     Chain chain;
-    Banded banded;                 /* its matrix, and the elements' tangents */
-    Motion end;                    /* of the step */
-    Vector *a0, *d0, *d1, *moved;  /* accelerations at its start; element vectors; displacements */
-    double *l0;                    /* m, elements' lengths at its start */
-    Vector *unknown;               /* residual, then correction */
+    Banded banded;                /* its matrix, and the elements' tangents */
+    Motion end;                   /* of the step */
+    Vector *a0, *d0, *d1, *moved; /* accelerations at its start; element vectors; displacements */
+    double *l0;                   /* m, elements' lengths at its start */
+    Vector *unknown;              /* residual, then correction */
 } Workspace;
 
 /* One step of h seconds from ``from``: DONE, or why not. */

@@ -7,7 +7,8 @@
 #include "interface.h"
 #include "twins.h"
 
-enum { TEXT_SIZE = 64, MESSAGE_SIZE = 512 }; /* bytes of a String's value, of a message; ends included */
+/* Bytes, ends included: of a String's value, of a message. */
+enum { TEXT_SIZE = 64, MESSAGE_SIZE = 512 };
 
 /* Values of inputs and parameters by value reference, as numbers or texts, and the inputs' slopes:
    their first derivatives during a step. */
