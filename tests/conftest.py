@@ -30,7 +30,9 @@ PAYLOADS = {"heavy": 0.42, "light": 0.07}  # kg
 
 @pytest.fixture(scope="session")
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of all FMUs."""
+    """The folder of all FMUs; skips the test where pythonfmu has no wrapper to run them."""
+    if sys.platform == "darwin":
+        pytest.skip("pythonfmu has no wrapper for macOS")
     folder = tmp_path_factory.mktemp("fmus")
     for model in MODELS:
         build(model, folder)

@@ -21,7 +21,7 @@ from conftest import PAYLOADS, ROOT, in_fresh_process, paper_motion
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from native_speed import Bench
-from test_08_hosts import _fuzz, _resets
+from test_08_hosts import _fuzz, _resets, linux
 
 from chaincrane.plant.command import Command
 from chaincrane.plant.interface import OUTPUTS
@@ -538,6 +538,7 @@ def test_fuzzed_calls_end_with_a_status(native_fmus: Path, model: str) -> None:
     assert in_fresh_process(_fuzz, str(native_fmus / f"{model}.fmu"), 200) >= 200
 
 
+@linux
 @both
 def test_ten_thousand_resets(native_fmus: Path, model: str) -> None:
     """The same bits, and no memory grown: 100 kB are FMPy's own."""
