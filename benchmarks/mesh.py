@@ -44,7 +44,8 @@ def path(model: Any) -> np.ndarray:
 
 def main() -> None:
     """Print the table."""
-    with tempfile.TemporaryDirectory() as scratch:
+    # Windows does not delete a library that is loaded
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
         library = load_library(str(kernel_for_host(Path(scratch))))
 
     def run(

@@ -132,7 +132,8 @@ def reach(case: Case) -> float:
 @cache
 def kernel() -> Any:
     """The C kernel, compiled for this host, once in a process."""
-    with tempfile.TemporaryDirectory() as scratch:
+    # Windows does not delete a library that is loaded
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
         return load_library(str(kernel_for_host(Path(scratch))))
 
 
