@@ -21,13 +21,7 @@ static const double ABOVE_ALL = 1e-9; /* of the bound of omega^2, that no mode i
 /* Modal coordinates, m sqrt(kg), and their rates: q = shapes eta. */
 typedef struct {
     double *eta, *rate;
-} Motion;
-
-/* What drives the string during a step. */
-typedef struct {
-    double v;               /* m/s, the trolley's at its start */
-    const Command *command; /* held */
-} Load;
+} ModalMotion;
 
 /* The state: numbers by name, then eta, rate and the rate of rate (n each). */
 typedef struct {
@@ -39,11 +33,11 @@ typedef struct {
     double *node1, *payload;           /* 1/sqrt(kg), rows of the shapes */
     double *points;                    /* 1/sqrt(kg), of the points: POINTS to each mode */
     double response_h, *s, *s_dot;     /* free response after response_h, s */
-    Motion jumped, at;                 /* work: after a jump; at a point of quadrature */
+    ModalMotion jumped, at;            /* work: after a jump; at a point of quadrature */
     double *K_diagonal, *K_coupling;   /* N/m, of (31): node i, and nodes i, i + 1 */
     double *down, *up, *nodal, *other; /* work of the modes */
     LinearState *head;
-    Motion motion;
+    ModalMotion motion;
     double *rate_of_rate;
 } LinearCrane;
 
@@ -195,13 +189,13 @@ static void prepare_response(LinearCrane *c, double h) {
 }
 
 /* Kinetic energy, J, that the trolley's velocity adds to the relative motion's. */
-static double carried(const LinearCrane *c, Motion motion, double trolley_v) {
+static double carried(const LinearCrane *c, ModalMotion motion, double trolley_v) {
     return trolley_v * product(c->push, motion.rate, c->chain.n) +
            0.5 * c->chain.total_mass * trolley_v * trolley_v;
 }
 
 /* 1/2 v^T M v + 1/2 q^T K q, J, with absolute velocities v, in modal coordinates. */
-static double energy(const LinearCrane *c, Motion motion, double trolley_v) {
+static double energy(const LinearCrane *c, ModalMotion motion, double trolley_v) {
     double elastic = 0.0;
     for (int i = 0; i < c->chain.n; i++) elastic += c->squares[i] * motion.eta[i] * motion.eta[i];
     return 0.5 * product(motion.rate, motion.rate, c->chain.n) + 0.5 * elastic +
@@ -209,29 +203,28 @@ static double energy(const LinearCrane *c, Motion motion, double trolley_v) {
 }
 
 /* Horizontal momentum of chain and payload, kg m/s. */
-static double momentum(const LinearCrane *c, Motion motion, double trolley_v) {
+static double momentum(const LinearCrane *c, ModalMotion motion, double trolley_v) {
     return product(c->push, motion.rate, c->chain.n) + c->chain.total_mass * trolley_v;
 }
 
 /* Modal load p0 + p1 t of a trolley at v + a t in air, and of the payload's force. */
-static double load_now(const LinearCrane *c, Load load, int i) {
+static double load_now(const LinearCrane *c, double v, const Command *command, int i) {
     double air = c->chain.settings.damping_air;
-    return -c->push[i] * (load.command->trolley_a_cmd + air * load.v) +
-           c->payload[i] * load.command->payload_fx;
+    return -c->push[i] * (command->trolley_a_cmd + air * v) + c->payload[i] * command->payload_fx;
 }
 
-static double load_slope(const LinearCrane *c, Load load, int i) {
-    return -c->push[i] * (c->chain.settings.damping_air * load.command->trolley_a_cmd);
+static double load_slope(const LinearCrane *c, double v, const Command *command, int i) {
+    return -c->push[i] * (c->chain.settings.damping_air * command->trolley_a_cmd);
 }
 
 /* Exact motion of a mode after t s: the matrix exponential of (32), a 2x2 block for each mode.
 
    eta'' + alpha eta' + omega^2 eta = p0 + p1 t has the particular solution c0 + c1 t. */
-static void propagate_mode(const LinearCrane *c, Motion from, Load load, int i, double t, double s,
-                           double s_dot, Motion to) {
+static void propagate_mode(const LinearCrane *c, ModalMotion from, double v, const Command *command,
+                           int i, double t, double s, double s_dot, ModalMotion to) {
     double air = c->chain.settings.damping_air, square = c->squares[i];
-    double c1 = load_slope(c, load, i) / square;
-    double c0 = (load_now(c, load, i) - air * c1) / square;
+    double c1 = load_slope(c, v, command, i) / square;
+    double c0 = (load_now(c, v, command, i) - air * c1) / square;
     double eta = from.eta[i] - c0, rate = from.rate[i] - c1;
     to.eta[i] = (s_dot + air * s) * eta + s * rate + c0 + c1 * t;
     to.rate[i] = s_dot * rate - square * s * eta + c1;
@@ -240,7 +233,8 @@ static void propagate_mode(const LinearCrane *c, Motion from, Load load, int i, 
 /* What the air takes in a step, alpha v^T M v, and the drive's work against its drag, J.
 
    Gauss quadrature of the exact motion, four points to each panel of at most DRAG_PANEL. */
-static void drag(LinearCrane *c, Motion motion, double h, Load load, double *taken, double *work) {
+static void drag(LinearCrane *c, ModalMotion motion, double h, double v, const Command *command,
+                 double *taken, double *work) {
     double air = c->chain.settings.damping_air, count = equal_parts(h, DRAG_PANEL);
     int n = c->chain.n;
     *taken = *work = 0.0;
@@ -249,11 +243,11 @@ static void drag(LinearCrane *c, Motion motion, double h, Load load, double *tak
     for (double i = 0.0; i < count; i += 1.0) {
         for (int k = 0; k < GAUSS_POINTS; k++) {
             double t = (i + 0.5 * (1.0 + GAUSS_NODES[k])) * width;
-            double trolley_v = load.v + load.command->trolley_a_cmd * t;
+            double trolley_v = v + command->trolley_a_cmd * t;
             for (int mode = 0; mode < n; mode++) {
                 double s, s_dot;
                 free_response(c->squares[mode], air, t, &s, &s_dot);
-                propagate_mode(c, motion, load, mode, t, s, s_dot, c->at);
+                propagate_mode(c, motion, v, command, mode, t, s, s_dot, c->at);
             }
             double relative = 0.5 * product(c->at.rate, c->at.rate, n);
             double kinetic = relative + carried(c, c->at, trolley_v);
@@ -281,35 +275,35 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
     int n = c->chain.n;
     (void)failure; /* an exact step does not fail */
     if (!is_allowed(shared, &c->chain.settings, h, command)) return BAD_VALUE;
-    Load load = {commanded(shared, command), command};
+    double v = commanded(shared, command);
     double a_cmd = command->trolley_a_cmd, air = c->chain.settings.damping_air;
-    double before_v = shared->trolley_v, end_v = load.v + h * a_cmd, dv = load.v - before_v;
-    double trolley_dx = h * (load.v + 0.5 * h * a_cmd);
+    double before_v = shared->trolley_v, end_v = v + h * a_cmd, dv = v - before_v;
+    double trolley_dx = h * (v + 0.5 * h * a_cmd);
     double taken, drag_work, path = 0.0;
     Vector payload_moved = {0.0, 0.0};
 
     /* a jump of velocity is an impulse -b dv on the free nodes */
-    Motion jumped = c->jumped;
+    ModalMotion jumped = c->jumped;
     double before_momentum = momentum(c, c->motion, before_v);
     for (int i = 0; i < n; i++) {
         jumped.eta[i] = c->motion.eta[i];
         jumped.rate[i] = c->motion.rate[i] - c->push[i] * dv;
     }
-    double start_momentum = momentum(c, jumped, load.v);
-    double jump_work = 0.5 * (load.v + before_v) * (start_momentum - before_momentum);
-    drag(c, jumped, h, load, &taken, &drag_work);
+    double start_momentum = momentum(c, jumped, v);
+    double jump_work = 0.5 * (v + before_v) * (start_momentum - before_momentum);
+    drag(c, jumped, h, v, command, &taken, &drag_work);
     prepare_response(c, h);
     for (int i = 0; i < n; i++) {
-        propagate_mode(c, jumped, load, i, h, c->s[i], c->s_dot[i], c->motion);
+        propagate_mode(c, jumped, v, command, i, h, c->s[i], c->s_dot[i], c->motion);
         double moved = c->motion.eta[i] - jumped.eta[i];
         payload_moved.x += c->payload[i] * moved;
         path += c->push[i] * moved;
-        c->rate_of_rate[i] = load_now(c, load, i) + h * load_slope(c, load, i) -
+        c->rate_of_rate[i] = load_now(c, v, command, i) + h * load_slope(c, v, command, i) -
                              air * c->motion.rate[i] - c->squares[i] * c->motion.eta[i];
     }
     /* The drive gives all change of horizontal momentum P that the payload's force and the air
        do not: with v = v0 + a t its work is the integral of (P' - fx + drag) v. */
-    double drive_work = momentum(c, c->motion, end_v) * end_v - start_momentum * load.v -
+    double drive_work = momentum(c, c->motion, end_v) * end_v - start_momentum * v -
                         a_cmd * (path + c->chain.total_mass * trolley_dx) -
                         command->payload_fx * trolley_dx + drag_work;
     shared->ledger_trolley += jump_work + drive_work;
@@ -327,7 +321,7 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
 static void outputs(const void *memory, Outputs *o) {
     const LinearCrane *c = memory;
     const SharedState *shared = &c->head->shared;
-    const Motion *motion = &c->motion;
+    const ModalMotion *motion = &c->motion;
     int n = c->chain.n;
     double q[POINTS] = {0.0};
     for (int mode = 0; mode < n; mode++) /* all points together: many short sums are fast */
