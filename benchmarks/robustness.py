@@ -98,7 +98,7 @@ def random_cases(count: int, seed: int, step: float, scheme: str) -> list[Case]:
     random = Random(seed)
 
     def draw(axis: Sequence[float]) -> float:
-        return axis[0] * (axis[-1] / axis[0]) ** random.random()
+        return float(axis[0] * (axis[-1] / axis[0]) ** random.random())
 
     return [
         Case(

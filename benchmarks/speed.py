@@ -28,6 +28,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -91,8 +92,9 @@ def distance(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.hypot(*(a - b).T).max())
 
 
-def paper_run(model: Any) -> None:
-    """The paper's run in two calls: the cost of the internal steps, and of nothing else."""
+def paper_run(make: Callable[[float], Any], h: float) -> None:
+    """The paper's run of a new crane, in two calls: the cost of its internal steps, little else."""
+    model = make(h)
     model.step(STOP, Command(trolley_v_cmd=SPEED))
     model.step(END - STOP)
 
@@ -107,14 +109,16 @@ def our_points(library: Any, elements: int = 10) -> list[Point]:
     def kernel(h: float) -> NativeCrane:
         return NativeCrane(crane, Initial(), Numerics(elements, h), library=library)
 
+    def numpy(h: float) -> NonlinearCrane:
+        return NonlinearCrane(crane, Initial(), Numerics(elements, h))
+
     truth = samples(kernel(STEPS[-1] / 16))
     points = []
     for h in STEPS:
         error = distance(samples(kernel(h)), truth)
-        points.append(Point("kernel", f"{h:g} s", error, lambda h=h: paper_run(kernel(h))))
+        points.append(Point("kernel", f"{h:g} s", error, partial(paper_run, kernel, h)))
         if h >= 1e-3:
-            model = lambda h=h: NonlinearCrane(crane, Initial(), Numerics(elements, h))  # noqa: E731
-            points.append(Point("numpy", f"{h:g} s", error, lambda m=model: paper_run(m())))
+            points.append(Point("numpy", f"{h:g} s", error, partial(paper_run, numpy, h)))
     return points
 
 
@@ -198,8 +202,7 @@ def mujoco_points(library: Any, elements: int = 10) -> list[Point]:
             path = run(integrator, h, True)
             assert path is not None
             error = distance(path, truth) if np.isfinite(path).all() else float("inf")
-            job = lambda i=integrator, h=h: run(i, h, False)  # noqa: E731
-            points.append(Point(name, f"{h:g} s", error, job))
+            points.append(Point(name, f"{h:g} s", error, partial(run, integrator, h, False)))
     return points
 
 
@@ -232,20 +235,21 @@ def solve_ivp_points(library: Any, elements: int = 10) -> list[Point]:
         done = solve_ivp(
             rate, (0.0, END - STOP), start.ravel(), method, times, rtol=rtol, atol=1e-2 * rtol
         )
-        return done.y[2 * n - 2 : 2 * n].T
+        return np.asarray(done.y[2 * n - 2 : 2 * n].T)
+
+    def kernel(h: float) -> NativeCrane:
+        return NativeCrane(crane, Initial(), Numerics(n, h), library=library)
 
     truth = integrate("DOP853", 1e-10)
     points = []
     for method, tolerances in (("DOP853", (1e-3, 1e-4, 1e-5)), ("Radau", (1e-2, 1e-3, 1e-4))):
         for rtol in tolerances:
             error = distance(integrate(method, rtol), truth)
-            job = lambda m=method, t=rtol: integrate(m, t)  # noqa: E731
+            job = partial(integrate, method, rtol)
             points.append(Point(f"solve_ivp {method}, soft", f"rtol {rtol:g}", error, job))
     for h in (*STEPS[3:], 1e-4, 5e-5):
-        make = lambda h=h: NativeCrane(crane, Initial(), Numerics(n, h), library=library)  # noqa: E731
-        error = distance(samples(make())[round(STOP / SAMPLE) :], truth)
-        job = lambda m=make: paper_run(m())  # noqa: E731
-        points.append(Point("kernel, soft", f"{h:g} s", error, job))
+        error = distance(samples(kernel(h))[round(STOP / SAMPLE) :], truth)
+        points.append(Point("kernel, soft", f"{h:g} s", error, partial(paper_run, kernel, h)))
     return points
 
 
@@ -343,7 +347,7 @@ def mesh_rows(library: Any, rounds: int) -> list[list[str]]:
         crane.step(STOP, Command(trolley_v_cmd=SPEED))
         crane.step(0.5)
         cranes.append(crane)
-    times = timed([lambda c=crane: c.step(0.1) for crane in cranes], rounds)
+    times = timed([partial(crane.step, 0.1) for crane in cranes], rounds)
     per_step = [statistics.median(mine) / 100 for mine in times]
     ten = per_step[MESHES.index(10)] / 10
     return [

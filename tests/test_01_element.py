@@ -24,7 +24,7 @@ def bent_chain(rng: np.random.Generator, elements: int = 5, stretch: float = 1e-
     """Element vectors of an arbitrary chain, shape (elements, 2)."""
     angle = rng.uniform(-1.0, 1.0, elements)
     length = L0 * (1.0 + stretch * rng.uniform(-1.0, 1.0, elements))
-    return length[:, None] * np.column_stack((np.sin(angle), -np.cos(angle)))
+    return np.asarray(length[:, None] * np.column_stack((np.sin(angle), -np.cos(angle))))
 
 
 def test_mass_matrix_carries_the_elements_mass() -> None:
@@ -74,7 +74,7 @@ def test_tangent_is_the_derivative_of_the_force() -> None:
 
     def pull(vectors: np.ndarray) -> np.ndarray:
         length = np.hypot(*vectors.T)
-        return (axial_force(EA, L0, length) / length)[:, None] * vectors
+        return np.asarray((axial_force(EA, L0, length) / length)[:, None] * vectors)
 
     for c in range(2):
         shift = np.zeros_like(d)

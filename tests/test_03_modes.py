@@ -31,7 +31,7 @@ def bessel_frequencies(crane: Crane, count: int) -> list[float]:
         bottom, top = (2 * w * np.sqrt((M / mu + y) / g) for y in (0.0, crane.chain.length))
         slope = np.sqrt(g * mu / M)  # u' = -w slope/g (A J1 + B Y1), as dz/dy = w slope/g
         at_payload = [w * f0(0, bottom) - slope * f0(1, bottom) for f0 in (jv, yv)]
-        return at_payload[0] * yv(0, top) - at_payload[1] * jv(0, top)
+        return float(at_payload[0] * yv(0, top) - at_payload[1] * jv(0, top))
 
     grid = np.arange(0.5, 80.0, 0.05)
     values = [determinant(w) for w in grid]

@@ -77,9 +77,9 @@ def test_every_term_agrees(library: Any, scheme: str, elements: int) -> None:
         command = Command(trolley_v_cmd=v, trolley_a_cmd=a, payload_fx=fx)
         for crane_model in (numpy, native):
             crane_model.step(0.1, command)
-        a, b = numpy.outputs(), native.outputs()
-        for name, value in a.items():
-            assert b[name] == pytest.approx(value, rel=1e-8, abs=1e-10), name
+        seen = native.outputs()
+        for name, value in numpy.outputs().items():
+            assert seen[name] == pytest.approx(value, rel=1e-8, abs=1e-10), name
         assert native.time == numpy.time
         assert native.trolley == numpy.trolley
         assert native.ledger.expected == pytest.approx(numpy.ledger.expected, rel=1e-9)
@@ -206,7 +206,7 @@ def test_kernel_and_numpy_agree_on_other_scenarios(library: Any, name: str, sche
     numpy, native = NonlinearCrane(*chosen), NativeCrane(*chosen, library=library)
     for i in range(150):
         row = table[int((table["time"] <= 0.01 * i + 1e-9).sum()) - 1]
-        held = {v.symbol: float(row[v.name]) for v in INPUTS if v.name in table.dtype.names}
+        held = {v.symbol: float(row[v.name]) for v in INPUTS if v.name in (table.dtype.names or ())}
         for crane in (numpy, native):
             crane.step(0.01, Command(**held))
         assert farthest(numpy.outputs(), native.outputs()) < 1e-9

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -121,9 +122,8 @@ def test_nothing_set_it_is_the_papers_crane_just_stopped(fmus: Path) -> None:
 @pytest.mark.parametrize("model", ["crane_nl", "crane_lin"])
 def test_fmu_is_the_model(fmus: Path, library: Any, model: str) -> None:
     """Every parameter, input and output goes through the FMU unchanged, bit for bit."""
-    crane_class = {"crane_nl": partial(NativeCrane, library=library), "crane_lin": LinearCrane}[
-        model
-    ]
+    native = partial(NativeCrane, library=library)
+    cranes: dict[str, Callable[..., Any]] = {"crane_nl": native, "crane_lin": LinearCrane}
     start = {
         "chain.length": 0.9,
         "chain.mass": 0.3,
@@ -145,7 +145,7 @@ def test_fmu_is_the_model(fmus: Path, library: Any, model: str) -> None:
         dtype=[(n, float) for n in ("time", "trolley.v_cmd", "trolley.a_cmd", "payload.fx")],
     )
     (result,) = simulate_all([Job(fmus / f"{model}.fmu", start, inputs, 0.5, 0.5)], "model")
-    crane = crane_class(
+    crane = cranes[model](
         Crane(
             chain=Chain(0.9, 0.3, 2e5),
             payload=Payload(0.2),

@@ -47,7 +47,7 @@ def _alone(fmu: str) -> float:
 
     host = Host(fmu, initial__sway_angle=0.1)
     host.run(30)
-    return host.get("payload.x_rel")
+    return float(host.get("payload.x_rel"))
 
 
 def test_two_builds_and_two_models_each_run_their_own_code(fmus: Path, tmp_path: Path) -> None:
@@ -562,7 +562,8 @@ def _fuzz(fmu: str, sequences: int) -> int:
     @given(st.lists(call, min_size=3, max_size=25))
     def fuzz(calls: list[Any]) -> None:
         nonlocal done
-        slave, states, clock = host.slave, [], [0.0]
+        states: list[Any] = []
+        slave, clock = host.slave, [0.0]
         slave.reset()
         for name, value in calls:
             try:

@@ -345,7 +345,10 @@ def entries(fmu: Path) -> dict[str, bytes]:
 
 def exports_of_dll(content: bytes) -> tuple[set[str], set[str]]:
     """Names that a 64-bit Windows library exports, and the libraries that it imports."""
-    word = lambda at, size: int.from_bytes(content[at : at + size], "little")  # noqa: E731
+
+    def word(at: int, size: int) -> int:
+        return int.from_bytes(content[at : at + size], "little")
+
     pe = word(0x3C, 4)
     assert content[pe : pe + 6] == b"PE\0\0\x64\x86"
     sections, optional = word(pe + 6, 2), pe + 24
@@ -421,7 +424,9 @@ def test_the_xml_says_what_the_native_fmu_can(native_fmus: Path, fmus: Path, mod
         for fmu in (native_fmus / f"{model}.fmu", fmus / f"{TWINS[model]}.fmu")
     )
     for part in ("ModelVariables", "ModelStructure", "UnitDefinitions", "LogCategories"):
-        assert ElementTree.tostring(ours.find(part)) == ElementTree.tostring(theirs.find(part))
+        one, other = ours.find(part), theirs.find(part)
+        assert one is not None and other is not None
+        assert ElementTree.tostring(one) == ElementTree.tostring(other)
     simulation = ours.find("CoSimulation")
     assert simulation is not None
     assert simulation.get("canInterpolateInputs") == "true"
@@ -480,7 +485,7 @@ def _strange_folder(fmu: str, folder: str) -> float:
     slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.5)
     (x,) = slave.getReal([v.valueReference for v in description.modelVariables][19:20])
     slave.freeInstance()
-    return x
+    return float(x)
 
 
 @both

@@ -33,7 +33,7 @@ ESTIMATED = ("payload.x_rel", "payload.vx_rel", "chain.mid_x_rel", "chain.top_an
 
 
 def at_rest(**changes: Any) -> ObserverSettings:
-    return ObserverSettings(**({"crane": LIGHT, "speed": 0.0} | changes))
+    return replace(ObserverSettings(LIGHT, speed=0.0), **changes)
 
 
 def follow(watch: CraneObserver, crane: LinearCrane, h: float, command: Command = IDLE) -> None:
@@ -246,7 +246,7 @@ def listen(fmus: Path, crane: dict[str, Any], watch: dict[str, Any], **more: Any
         OBSERVER: {"initial.speed": 0.0} | believed | watch,
     }
     files = {CRANE: fmus / "crane_lin.fmu", OBSERVER: fmus / "crane_observer.fmu"}
-    return Loop(**({"fmus": files, "start": start, "stop_time": 60.0, "step": 0.01} | more))
+    return replace(Loop(files, start, stop_time=60.0, step=0.01), **more)
 
 
 def test_fmpy_validates(fmus: Path) -> None:
@@ -259,7 +259,7 @@ def test_on_the_linear_plant_it_converges_to_the_truth(fmus: Path) -> None:
     for payload in PAYLOADS.values():
         for sensor in ("camera", "rope"):
             crane = {"payload.mass": payload, "initial.sway_angle": 0.1}
-            watch = {"observer.sensor": sensor}
+            watch: dict[str, Any] = {"observer.sensor": sensor}
             watch |= {"observer.noise.camera": 1e-4, "observer.noise.rope": 1e-3}
             cases.append((payload, sensor))
             loops.append(listen(fmus, crane, watch))
@@ -389,7 +389,7 @@ def _state_of(fmu: str, inputs: dict[str, float]) -> list[bool]:
         return rows
 
     noisy = {"rope__noise": 0.01, "sensor__delay": 0.025} if "observer" in fmu else {}
-    host = Host(fmu, **noisy)
+    host = Host(fmu, initialise=True, **noisy)
     first = run(host, 60)
     state = host.slave.getFMUState()
     data = host.slave.serializeFMUState(state)

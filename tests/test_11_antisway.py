@@ -265,7 +265,7 @@ def test_the_same_seed_gives_the_same_bits(fmus: Path) -> None:
 @pytest.mark.parametrize("step", [0.01, 0.02])
 def test_step_orders_agree_but_for_the_sample_that_is_a_step_newer(fmus: Path, step: float) -> None:
     """Linear plant, no noise, the filter's model exact: a predicted step costs nothing at all."""
-    more = {CRANE: {"chain.elements": 2}, OBSERVER: {"sensor.sample_time": step}}
+    more: dict[str, Any] = {CRANE: {"chain.elements": 2}, OBSERVER: {"sensor.sample_time": step}}
     base = Setup(plant="crane_lin", noisy=False, step=step, stop_time=6.0, more=more)
     setups = [base, replace(base, order="sequential"), replace(base, late=True)]
     parallel, sequential, late = simulate_all([s.loop(fmus) for s in setups], "orders")
