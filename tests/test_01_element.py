@@ -140,7 +140,19 @@ def test_assembled_mass_is_that_of_chain_and_payload(mass_matrix: str) -> None:
     rigid = np.ones((7, 2))
     free = mass_times(chain, rigid)[:, 0]
     free[0] += chain.mass_coupling  # node 0 moves along
+    free[-1] += chain.end_coupling
     np.testing.assert_allclose(free, chain.row_mass, rtol=1e-14)
+
+
+@pytest.mark.parametrize("mass_matrix", MASS_MATRICES)
+@pytest.mark.parametrize("elements", [1, 2, 7])
+def test_a_chain_that_turns_as_a_rod_has_a_rods_inertia(elements: int, mass_matrix: str) -> None:
+    """m L^2/3 + M L^2 about the trolley: the mean of consistent and lumped alone has too much."""
+    crane = Crane(chain=Chain(length=0.8, mass=0.22), payload=Payload(mass=0.42))
+    chain = discretise(crane, elements, mass_matrix)
+    w = np.outer(np.arange(1, elements + 1) * chain.L0, [1.0, 0.0])  # 1 rad/s
+    inertia = (0.22 / 3.0 + 0.42) * 0.8**2
+    assert kinetic_energy(chain, w, 0.0) == pytest.approx(0.5 * inertia, rel=1e-14)
 
 
 def test_kinetic_energy_of_a_travelling_crane() -> None:

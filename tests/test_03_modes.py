@@ -55,13 +55,18 @@ def test_frequencies_converge_to_the_bessel_roots_with_order_2(payload: float) -
 
 @pytest.mark.parametrize("payload", PAYLOADS.values())
 def test_averaged_mass_carries_the_chains_waves_better(payload: float) -> None:
-    """The chain's own vibrations, modes 2 and 3: their frequencies err by a third or less."""
+    """The chain's own vibrations, modes 2 and 3, err by 0.28 of it or less (heavy: 0.09); the first
+    frequency as before. The order stays 2.
+    """
     crane = Crane(payload=Payload(payload))
-    exact = np.array(bessel_frequencies(crane, 3))[1:]
+    exact = np.array(bessel_frequencies(crane, 3))
     consistent, averaged = (
-        np.abs(modes(discretise(crane, 10, kind)).omega[1:3] - exact) for kind in MASS_MATRICES
+        np.abs(modes(discretise(crane, 10, kind)).omega[:3] - exact) for kind in MASS_MATRICES
     )
-    assert np.all(averaged < 0.34 * consistent)
+    assert np.all(averaged[1:] < 0.34 * consistent[1:])
+    assert averaged[0] < consistent[0]
+    fine = np.abs(modes(discretise(crane, 20, "averaged")).omega[:3] - exact)
+    assert np.all(np.abs(np.log2(averaged / fine) - 2.0) < 0.2)
 
 
 def test_first_frequencies_of_ten_elements() -> None:

@@ -13,10 +13,11 @@ Block element_tangent(const Chain *c, Vector d) {
                    across * unit.x * unit.y, geometric + across * unit.y * unit.y};
 }
 
-double carried_force(const Chain *c, const Command *command, double trolley_v, double node1) {
+double carried_force(const Chain *c, const Command *command, double trolley_v, double node1,
+                     double payload) {
     double air = c->settings.damping_air;
     double own = c->row_mass0 * (command->trolley_a_cmd + air * trolley_v);
-    return own + c->coupling * node1;
+    return own + c->coupling * node1 + c->end_coupling * payload;
 }
 
 double payload_work(const Command *command, Vector moved, double trolley_dx) {
@@ -48,6 +49,12 @@ static double element_coupling(const Settings *p, double element) {
     return p->chain_mass_matrix == CHAIN_MASS_MATRIX_AVERAGED ? element / 12.0 : element / 6.0;
 }
 
+/* What the chain's rotation as a rigid body has too much, kg at the payload's node. */
+static double rotation_excess(const Settings *p, int n) {
+    if (p->chain_mass_matrix != CHAIN_MASS_MATRIX_AVERAGED) return 0.0;
+    return p->chain_mass / (12.0 * n * n);
+}
+
 void discretise(Chain *c, const Settings *settings) {
     const Settings *p = settings;
     c->settings = *p;
@@ -57,7 +64,8 @@ void discretise(Chain *c, const Settings *settings) {
     c->axial = p->chain_EA / c->L0;
     c->coupling = element_coupling(p, element);
     c->inner_mass = element - 2.0 * c->coupling;
-    c->end_mass = 0.5 * element - c->coupling + p->payload_mass;
+    c->end_coupling = rotation_excess(p, c->n);
+    c->end_mass = 0.5 * element - c->coupling + p->payload_mass - c->end_coupling;
     c->inner_row = element;
     c->end_row = 0.5 * element + p->payload_mass;
     c->row_mass0 = 0.5 * element;

@@ -25,6 +25,7 @@ typedef struct {
     int n;                                 /* elements, and free nodes */
     double L0, axial;                      /* m, unstretched element; N/m, EA/L0 */
     double inner_mass, end_mass, coupling; /* kg, mass matrix: diagonal, payload's, off */
+    double end_coupling;                   /* kg, between node 0 and the payload's, besides */
     double inner_row, end_row, row_mass0;  /* kg, its row sums; node 0's */
     double inner_weight, end_weight;       /* N, upwards */
     double total_mass;                     /* kg, chain and payload */
@@ -94,8 +95,10 @@ static inline Vector applied_force(const Chain *c, const Command *command, doubl
 }
 
 /* Horizontal force, N, that node 0's row of the mass matrix takes: inertia and the air's drag.
-   ``node1``: a + alpha w of node 1, relative to the trolley, m/s2. */
-double carried_force(const Chain *c, const Command *command, double trolley_v, double node1);
+   ``node1``, ``payload``: a + alpha w of node 1 and of the payload's, relative to the trolley,
+   m/s2. */
+double carried_force(const Chain *c, const Command *command, double trolley_v, double node1,
+                     double payload);
 
 /* Work of the payload's force, J; ``moved``: of the payload relative to the trolley, m. */
 double payload_work(const Command *command, Vector moved, double trolley_dx);

@@ -61,10 +61,12 @@ static void step_result(Workspace *work, const Motion *from, const Load *load, d
         end->w[i] =
             (Vector){2.0 / h * moved[i].x - from->w[i].x, 2.0 / h * moved[i].y - from->w[i].y};
     }
+    int last = c->n - 1;
     double node1 = (end->w[0].x - from->w[0].x) / h + air * (moved[0].x / h);
-    result->trolley_fx = carried_force(c, &load->command, trolley_v, node1) - top_pull.x;
+    double payload = (end->w[last].x - from->w[last].x) / h + air * (moved[last].x / h);
+    result->trolley_fx = carried_force(c, &load->command, trolley_v, node1, payload) - top_pull.x;
     result->work_trolley = result->trolley_fx * trolley_dx;
-    result->work_payload = payload_work(&load->command, moved[c->n - 1], trolley_dx);
+    result->work_payload = payload_work(&load->command, moved[last], trolley_dx);
     result->dissipated = viscosity * stretch2;
     if (air != 0.0) {
         Vector *mean_w = work->unknown;

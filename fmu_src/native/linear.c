@@ -138,7 +138,7 @@ static void modes(LinearCrane *c) {
     /* no omega^2 is above the largest one of an element alone */
     double element = c->chain.settings.chain_mass / c->chain.n, low = 0.0;
     double high = 2.0 * hanging_tension(&c->chain, 0) / c->chain.L0 /
-                  (0.5 * element - 2.0 * c->chain.coupling);
+                  (0.5 * element - 2.0 * c->chain.coupling - c->chain.end_coupling);
     double *shape = c->nodal, *straight = c->other;
     high *= 1.0 + ABOVE_ALL;
     stiffness_matrix(c);
@@ -264,8 +264,10 @@ static double drive_force(const LinearCrane *c, double trolley_v, const Command 
     double q = product(c->node1, c->motion.eta, chain->n);
     double rate = product(c->node1, c->motion.rate, chain->n);
     double acceleration = product(c->node1, c->rate_of_rate, chain->n);
-    double node1 = acceleration + chain->settings.damping_air * rate;
-    return carried_force(chain, command, trolley_v, node1) -
+    double air = chain->settings.damping_air, node1 = acceleration + air * rate;
+    double payload = product(c->payload, c->rate_of_rate, chain->n) +
+                     air * product(c->payload, c->motion.rate, chain->n);
+    return carried_force(chain, command, trolley_v, node1, payload) -
            hanging_tension(chain, 0) / chain->L0 * q;
 }
 

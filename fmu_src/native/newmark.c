@@ -34,10 +34,13 @@ static void residual(Workspace *work, const Load *load, double trolley_v, const 
 }
 
 /* Horizontal force of the drive on the chain, N: node 0's row of dynamic equilibrium. */
-static double trolley_force(const Chain *c, Vector r, Vector w, Vector a, const Command *command,
-                            double trolley_v) {
-    double node1 = a.x + c->settings.damping_air * w.x, length = norm(r);
-    double carried = carried_force(c, command, trolley_v, node1);
+static double trolley_force(const Chain *c, const Motion *motion, const Vector *a,
+                            const Command *command, double trolley_v) {
+    Vector r = motion->r[0], w = motion->w[0];
+    int last = c->n - 1;
+    double air = c->settings.damping_air, length = norm(r);
+    double node1 = a[0].x + air * w.x, payload = a[last].x + air * motion->w[last].x;
+    double carried = carried_force(c, command, trolley_v, node1, payload);
     return carried - axial(c, r, length, w) * r.x / length;
 }
 
@@ -80,8 +83,8 @@ static void step_result(Workspace *work, const Motion *from, const Load *load, d
     const Motion *end = &work->end;
     const Command *command = &load->command;
     double v0 = load->trolley_v, v1 = trolley_v_after(load, h), trolley_dx = 0.5 * h * (v0 + v1);
-    double before = trolley_force(c, from->r[0], from->w[0], work->a0[0], command, v0);
-    double after = trolley_force(c, end->r[0], end->w[0], end->a[0], command, v1);
+    double before = trolley_force(c, from, work->a0, command, v0);
+    double after = trolley_force(c, end, end->a, command, v1);
     for (int e = 0; e < c->n; e++) {
         Vector d = along(end->r, e);
         end->tension[e] = axial(c, d, norm(d), along(end->w, e));

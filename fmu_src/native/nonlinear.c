@@ -67,6 +67,7 @@ static void jump(Workspace *work, State *s, double after) {
         s->motion.w[i].y += dw[i].y;
     }
     double impulse = c->row_mass0 * dv + c->coupling * dw[0].x;
+    impulse += c->end_coupling * dw[c->n - 1].x;
     shared->ledger_trolley += 0.5 * (before + after) * impulse;
     s->head->energy = mechanical_energy(c, &s->motion, after);
     s->head->scale = energy_scale(c, s->head, after);

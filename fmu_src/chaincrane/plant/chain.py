@@ -47,13 +47,24 @@ def averaged_element_mass(mu: float, L0: float) -> Array:
     """Mean of the consistent mass matrix (11) and the lumped one, ours, kg, shape (4, 4).
 
     M_e = mu L0 / 12 [5 0 1 0; 0 5 0 1; 1 0 5 0; 0 1 0 5]. The leading dispersion errors of the two
-    cancel on a uniform string: it carries its waves more faithfully at the same mesh.
+    cancel on a uniform string: it carries its waves more faithfully at the same mesh. But it makes
+    an element's rotation too heavy, which :func:`rotation_excess` mends for the chain as a whole.
     """
     lumped = 0.5 * mu * L0 * np.eye(4)
     return 0.5 * (element_mass(mu, L0) + lumped)
 
 
 ELEMENT_MASS = {"consistent": element_mass, "averaged": averaged_element_mass}
+
+
+def rotation_excess(mass_matrix: str, chain_mass: float, elements: int) -> float:
+    """What the chain's rotation as a rigid body has too much, kg at the payload's node, ours.
+
+    An element of half lumped mass resists its rotation with mu L0^3/12 too much, so the n of a
+    straight chain with m L^2/(12 n^2): as much as m/(12 n^2) at its end. Moved from the payload's
+    diagonal entry to what couples it with node 0, all row sums stay, and the rotation is exact.
+    """
+    return chain_mass / (12.0 * elements**2) if mass_matrix == "averaged" else 0.0
 
 
 def element_weight(mu: float, L0: float, gravity: float) -> Array:
@@ -134,6 +145,7 @@ class DiscreteChain:
     mu: float  # kg/m
     mass_diagonal: Array  # kg, (n,), each node's entry of the mass matrix
     mass_coupling: float  # kg, between neighbours (node 0 and node 1 too)
+    end_coupling: float  # kg, between node 0 and the payload's node, besides
     row_mass: Array  # kg, (n,), row sums of the mass matrix, node 0's column included
     weight: Array  # N, (n, 2)
     rest: Array  # m, (n, 2), hanging equilibrium
@@ -151,7 +163,8 @@ def discretise(crane: Crane, elements: int, mass_matrix: str = "consistent") -> 
     element = ELEMENT_MASS[mass_matrix](mu, L0)
     own, coupling = float(element[0, 0]), float(element[0, 2])
     diagonal = np.full(elements, 2.0 * own)
-    diagonal[-1] = own + crane.payload.mass
+    excess = rotation_excess(mass_matrix, crane.chain.mass, elements)
+    diagonal[-1] = own + crane.payload.mass - excess
     row = np.full(elements, 2.0 * (own + coupling))
     row[-1] = own + coupling + crane.payload.mass
     half_weight = element_weight(mu, L0, crane.gravity)[1]
@@ -160,7 +173,7 @@ def discretise(crane: Crane, elements: int, mass_matrix: str = "consistent") -> 
     weight[-1, 1] = half_weight - crane.payload.mass * crane.gravity
     rest = np.zeros((elements, 2))
     rest[:, 1] = -np.cumsum(hanging_length(crane, elements, hanging_tension(crane, elements)))
-    return DiscreteChain(crane, elements, L0, mu, diagonal, coupling, row, weight, rest)
+    return DiscreteChain(crane, elements, L0, mu, diagonal, coupling, excess, row, weight, rest)
 
 
 def straight_chain(chain: DiscreteChain, sway_angle: float) -> Array:
@@ -222,14 +235,17 @@ def payload_work(command: Command, moved: Array, trolley_dx: float) -> float:
     return command.payload_fx * (float(moved[0]) + trolley_dx)
 
 
-def carried_force(chain: DiscreteChain, command: Command, trolley_v: float, node1: float) -> float:
+def carried_force(
+    chain: DiscreteChain, command: Command, trolley_v: float, node1: float, payload: float
+) -> float:
     """Horizontal force, N, that node 0's row of the mass matrix takes: inertia and the air's drag.
 
-    ``node1``: a + alpha w of node 1, relative to the trolley, m/s2.
+    ``node1``, ``payload``: a + alpha w of node 1 and of the payload's, relative to the trolley,
+    m/s2.
     """
     air = chain.crane.damping.air
     own = chain.row_mass0 * (command.trolley_a_cmd + air * trolley_v)
-    return own + chain.mass_coupling * node1
+    return own + chain.mass_coupling * node1 + chain.end_coupling * payload
 
 
 def interpolation(elements: int, fractions: Array) -> Array:

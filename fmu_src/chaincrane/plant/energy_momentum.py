@@ -206,8 +206,9 @@ class EnergyMomentum:
         force = element_force(crane.chain.EA, chain.L0, viscosity, d0, d1)
         air = crane.damping.air
         mean_w = moved / h
-        node1 = (w1[0, 0] - motion.w[0, 0]) / h + air * mean_w[0, 0]
-        trolley_fx = carried_force(chain, load.command, trolley_v, node1) - force.pull[0, 0]
+        inertia = (w1[:, 0] - motion.w[:, 0]) / h + air * mean_w[:, 0]  # a + alpha w
+        carried = carried_force(chain, load.command, trolley_v, inertia[0], inertia[-1])
+        trolley_fx = carried - force.pull[0, 0]
         stretch = np.hypot(d1[:, 0], d1[:, 1]) - np.hypot(d0[:, 0], d0[:, 1])
         dissipated = viscosity * float(stretch @ stretch)
         if air:

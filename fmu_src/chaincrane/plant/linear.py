@@ -308,12 +308,10 @@ class LinearCrane(CraneModel):
 
     def _drive_force(self, trolley_v: float, command: Command) -> float:
         """Force of the drive on the chain, N: node 0's row of (31)."""
-        q, rate, acceleration = (
-            float(self.modes.shapes[0] @ modal)
-            for modal in (self._motion.eta, self._motion.rate, self._rate_of_rate)
-        )
-        node1 = acceleration + self.crane.damping.air * rate
-        carried = carried_force(self.chain, command, trolley_v, node1)
+        ends = self.modes.shapes[[0, -1]]
+        q = float(ends[0] @ self._motion.eta)
+        inertia = ends @ self._rate_of_rate + self.crane.damping.air * (ends @ self._motion.rate)
+        carried = carried_force(self.chain, command, trolley_v, *inertia.tolist())
         return carried - float(self._tension[0]) / self.chain.L0 * q
 
     @property

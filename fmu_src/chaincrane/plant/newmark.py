@@ -126,8 +126,8 @@ class Newmark:
     def trolley_force(self, motion: Motion, command: Command, trolley_v: float) -> float:
         """Horizontal force of the drive on the chain, N: node 0's row of dynamic equilibrium."""
         assert motion.a is not None
-        node1 = motion.a[0, 0] + self.chain.crane.damping.air * motion.w[0, 0]
-        carried = carried_force(self.chain, command, trolley_v, node1)
+        inertia = motion.a[:, 0] + self.chain.crane.damping.air * motion.w[:, 0]
+        carried = carried_force(self.chain, command, trolley_v, inertia[0], inertia[-1])
         d, w = along_elements(motion.r)[:1], motion.w[:1]
         length = np.hypot(d[:, 0], d[:, 1])
         return float(carried - self._axial(d, length, w)[0] * d[0, 0] / length[0])

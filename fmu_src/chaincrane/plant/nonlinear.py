@@ -115,8 +115,9 @@ class NonlinearCrane(CraneModel):
         push[:, 0] = -self.chain.row_mass * dv
         dw = self._mass.solve(push)
         motion = Motion(state.motion.r, state.motion.w + dw, state.motion.tension)
-        row = self.chain.row_mass0
-        impulse = row * dv + self.chain.mass_coupling * float(dw[0, 0])
+        chain = self.chain
+        impulse = chain.row_mass0 * dv + chain.mass_coupling * float(dw[0, 0])
+        impulse += chain.end_coupling * float(dw[-1, 0])
         energy = self._energy(motion, after)
         return replace(
             state,
