@@ -14,7 +14,7 @@ from chaincrane.plant.chain import (
     kinetic_energy,
     mass_times,
 )
-from chaincrane.plant.energy_momentum import corrected, element_force, turned
+from chaincrane.plant.energy_momentum import Viscosity, corrected, element_force, turned
 from chaincrane.plant.parameters import MASS_MATRICES, Chain, Crane, Payload
 
 MU, L0, EA = 0.275, 0.08, 7.357e6
@@ -88,18 +88,19 @@ def test_tangent_is_the_derivative_of_the_force() -> None:
 def test_discrete_gradient_does_the_work_of_the_elastic_energy() -> None:
     rng = np.random.default_rng(4)
     d0, d1 = bent_chain(rng), bent_chain(rng)
-    viscosity = 0.3 * EA / L0
+    viscosity = Viscosity(0.3 * EA / L0, rng.uniform(-1e2, 1e2, len(d0)))
     stretch0, stretch1 = np.hypot(*d0.T) - L0, np.hypot(*d1.T) - L0
     elastic = 0.5 * EA / L0 * (stretch1**2 - stretch0**2)
     work = np.einsum("ij,ij->i", element_force(EA, L0, viscosity, d0, d1).pull, d1 - d0)
-    viscous = viscosity * (stretch1 - stretch0) ** 2
+    stretched = stretch1 - stretch0
+    viscous = (viscosity.eta * stretched - viscosity.lag) * stretched
     np.testing.assert_allclose(work, elastic + viscous, rtol=1e-8)
 
 
 def test_discrete_gradient_tangent_is_the_derivative() -> None:
     rng = np.random.default_rng(5)
     d0, d1 = bent_chain(rng), bent_chain(rng)
-    step, viscosity = 1e-7 * L0, 0.1 * EA / L0
+    step, viscosity = 1e-7 * L0, Viscosity(0.1 * EA / L0, rng.uniform(-1e2, 1e2, len(d0)))
     tangent = element_force(EA, L0, viscosity, d0, d1).tangent
     for c in range(2):
         shift = np.zeros_like(d1)

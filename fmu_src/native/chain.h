@@ -39,6 +39,8 @@ static inline int is_finite(double x) { return x - x == 0.0; }
 
 static inline double larger(double a, double b) { return a > b ? a : b; }
 
+static inline double smaller(double a, double b) { return a < b ? a : b; }
+
 /* ---- vectors ---- */
 
 static inline Vector minus(Vector a, Vector b) { return (Vector){a.x - b.x, a.y - b.y}; }

@@ -9,15 +9,25 @@ typedef struct {
     double tension;
 } ElementForce;
 
-/* pull = k (d0 + d1)/2, k = [EA/L0 (l0 + l1 - 2 L0) + 2 eta (l1 - l0)]/(l0 + l1), eta in N/m. */
-static inline ElementForce element_force(const Workspace *work, double viscosity, int e) {
+/* The chain's own damping, on the stretch, and the scheme's, on its change between steps: the viscous
+   tension is eta (l1 - l0) - lag. Sets the lags; eta, N/m. */
+static double viscosity_of(Workspace *work, const Motion *from, double h) {
+    const Chain *c = &work->chain;
+    double again = from->last_h > 0.0 ? smaller(1.0, h / from->last_h) : 0.0;
+    for (int e = 0; e < c->n; e++)
+        work->lag[e] = c->axial * AXIAL_DISSIPATION * (again * from->stretched[e]);
+    return c->axial * (c->settings.damping_chain / h + AXIAL_DISSIPATION);
+}
+
+/* pull = k (d0 + d1)/2, k = [EA/L0 (l0 + l1 - 2 L0) + 2 V]/(l0 + l1), V the viscous tension. */
+static inline ElementForce element_force(const Workspace *work, double eta, int e) {
     const Chain *c = &work->chain;
     ElementForce f;
     Vector d0 = work->d0[e], d1 = work->d1[e];
     double l0 = work->l0[e], l1 = norm(d1), total = l0 + l1;
-    f.tension = 0.5 * (axial_force(c, l0) + axial_force(c, l1)) + viscosity * (l1 - l0);
+    f.tension = 0.5 * (axial_force(c, l0) + axial_force(c, l1)) + (eta * (l1 - l0) - work->lag[e]);
     double stiffness = 2.0 * f.tension / total;
-    double slope = (c->axial + 2.0 * viscosity - stiffness) / (total * l1);
+    double slope = (c->axial + 2.0 * eta - stiffness) / (total * l1);
     Vector middle = {0.5 * (d0.x + d1.x), 0.5 * (d0.y + d1.y)};
     f.pull = (Vector){stiffness * middle.x, stiffness * middle.y};
     f.tangent = (Block){slope * middle.x * d1.x + 0.5 * stiffness, slope * middle.x * d1.y,
@@ -34,28 +44,29 @@ static inline Vector turned(Vector d, double angle, double factor) {
 }
 
 /* Stretch factor of element e that would leave its tension as it was in the last step. */
-static inline double expected_stretch(const Workspace *work, const Motion *from, double viscosity,
+static inline double expected_stretch(const Workspace *work, const Motion *from, double eta,
                                       int e) {
     const Chain *c = &work->chain;
-    double change = from->tension[e] - axial_force(c, work->l0[e]);
-    double factor = 1.0 + change / ((0.5 * c->axial + viscosity) * work->l0[e]);
+    double change = from->tension[e] - axial_force(c, work->l0[e]) + work->lag[e];
+    double factor = 1.0 + change / ((0.5 * c->axial + eta) * work->l0[e]);
     return larger(factor, LEAST_STRETCH);
 }
 
 /* Velocities and the step's energy terms, once the positions at its end are known. */
-static void step_result(Workspace *work, const Motion *from, const Load *load, double h,
-                        double viscosity, StepResult *result) {
+static void step_result(Workspace *work, const Motion *from, const Load *load, double h, double eta,
+                        StepResult *result) {
     const Chain *c = &work->chain;
-    const Motion *end = &work->end;
+    Motion *end = &work->end;
     const Vector *moved = work->moved;
     double air = c->settings.damping_air;
     double trolley_v = trolley_v_after(load, 0.5 * h), trolley_dx = h * trolley_v;
-    double stretch2 = 0.0;
+    double dissipated = 0.0;
     Vector top_pull = {0.0, 0.0};
     for (int i = 0; i < c->n; i++) {
-        ElementForce f = element_force(work, viscosity, i);
+        ElementForce f = element_force(work, eta, i);
         double stretch = norm(work->d1[i]) - work->l0[i];
-        stretch2 += stretch * stretch;
+        dissipated += (eta * stretch - work->lag[i]) * stretch;
+        end->stretched[i] = stretch;
         end->tension[i] = f.tension;
         if (i == 0) top_pull = f.pull;
         end->w[i] =
@@ -67,7 +78,7 @@ static void step_result(Workspace *work, const Motion *from, const Load *load, d
     result->trolley_fx = carried_force(c, &load->command, trolley_v, node1, payload) - top_pull.x;
     result->work_trolley = result->trolley_fx * trolley_dx;
     result->work_payload = payload_work(&load->command, moved[last], trolley_dx);
-    result->dissipated = viscosity * stretch2;
+    result->dissipated = dissipated;
     if (air != 0.0) {
         Vector *mean_w = work->unknown;
         for (int i = 0; i < c->n; i++) mean_w[i] = (Vector){moved[i].x / h, moved[i].y / h};
@@ -88,8 +99,8 @@ static void move_nodes(Workspace *work, const Motion *from) {
 }
 
 /* Out-of-balance forces of a step, from its displacements, into work->unknown; tangents, too. */
-static void residual(Workspace *work, const Motion *from, const Load *load, double h,
-                     double viscosity, double inertia) {
+static void residual(Workspace *work, const Motion *from, const Load *load, double h, double eta,
+                     double inertia) {
     const Chain *c = &work->chain;
     const Command command = load->command; /* a copy: nothing that is written can change it */
     double trolley_v = trolley_v_after(load, 0.5 * h);
@@ -100,7 +111,7 @@ static void residual(Workspace *work, const Motion *from, const Load *load, doub
                              inertia * moved.y - 2.0 / h * from->w[i].y};
     }
     for (int i = 0; i < c->n; i++) {
-        ElementForce f = element_force(work, viscosity, i);
+        ElementForce f = element_force(work, eta, i);
         Vector steady = applied_force(c, &command, trolley_v, i);
         work->banded.tangent[i] = f.tangent;
         unknown[i] = minus(minus(steady, mass_times(c, change, i)), f.pull);
@@ -178,8 +189,7 @@ static const Vector *expected_velocity(Workspace *work, const Motion *from, cons
 }
 
 /* Element vectors expected at the step's end: they turn with that velocity and keep the tension. */
-static void predict(Workspace *work, const Motion *from, const Load *load, double h,
-                    double viscosity) {
+static void predict(Workspace *work, const Motion *from, const Load *load, double h, double eta) {
     int n = work->chain.n;
     for (int e = 0; e < n; e++) {
         work->d0[e] = along(from->r, e);
@@ -188,7 +198,7 @@ static void predict(Workspace *work, const Motion *from, const Load *load, doubl
     const Vector *u = expected_velocity(work, from, load, h);
     for (int e = 0; e < n; e++) {
         double turn = h * cross(work->d0[e], along(u, e)) / (work->l0[e] * work->l0[e]);
-        work->d1[e] = turned(work->d0[e], turn, expected_stretch(work, from, viscosity, e));
+        work->d1[e] = turned(work->d0[e], turn, expected_stretch(work, from, eta, e));
     }
 }
 
@@ -197,13 +207,13 @@ Outcome energy_momentum_step(Workspace *work, const Motion *from, const Load *lo
                              StepResult *result) {
     const Chain *c = &work->chain;
     const Settings *p = &c->settings;
-    double viscosity = c->axial * (p->damping_chain / h + AXIAL_DISSIPATION);
+    double eta = viscosity_of(work, from, h);
     double inertia = 2.0 / (h * h) + p->damping_air / h, length = p->chain_length, last = 0.0;
-    predict(work, from, load, h, viscosity);
+    predict(work, from, load, h, eta);
     for (int iteration = 1; iteration <= MOST_ITERATIONS; iteration++) {
         result->iterations = iteration;
         move_nodes(work, from);
-        residual(work, from, load, h, viscosity, inertia);
+        residual(work, from, load, h, eta, inertia);
         if (!factor_and_solve(&work->banded, c, inertia, work->unknown)) return NOT_CONVERGED;
         double size = size_of(work->unknown, c->n);
         if (!(size < length) || (iteration > 2 && size > DIVERGENCE * last) ||
@@ -211,7 +221,8 @@ Outcome energy_momentum_step(Workspace *work, const Motion *from, const Load *lo
             return NOT_CONVERGED;
         if (size <= CORRECTION_TOLERANCE * length) {
             move_nodes(work, from);
-            step_result(work, from, load, h, viscosity, result);
+            step_result(work, from, load, h, eta, result);
+            work->end.last_h = h;
             return DONE;
         }
         last = size;

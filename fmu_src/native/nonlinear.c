@@ -12,7 +12,7 @@
 static Step *const SCHEME[] = {[SOLVER_SCHEME_ENERGY_MOMENTUM] = energy_momentum_step,
                                [SOLVER_SCHEME_NEWMARK] = newmark_step};
 
-/* A state: numbers by name, then r (n), w (n), a (n) as x, y pairs, then the tension (n). */
+/* A state: numbers by name, then r (n), w (n), a (n) as x, y pairs, then tension and stretched (n). */
 typedef struct {
     NonlinearState *head;
     Motion motion;
@@ -40,7 +40,11 @@ static double energy_scale(const Chain *c, const NonlinearState *s, double troll
 static void forget_load(const Chain *c, State *s) {
     s->head->loaded = 0.0;
     memset(&s->head->last_command, 0, sizeof s->head->last_command);
-    for (int i = 0; i < c->n; i++) s->motion.a[i] = (Vector){NAN, NAN};
+    for (int i = 0; i < c->n; i++) {
+        s->motion.a[i] = (Vector){NAN, NAN};
+        s->motion.stretched[i] = 0.0;
+    }
+    s->head->last_h = 0.0;
 }
 
 /* Whether the load jumps between two steps; the trolley's velocity is no load. */
@@ -96,13 +100,15 @@ static Outcome check_energy(const Chain *c, const NonlinearState *s, double ledg
 static Outcome attempt(NonlinearCrane *crane, const Load *load, double h, Failure *failure) {
     Workspace *work = &crane->work;
     const Chain *c = &work->chain;
-    const Motion *motion = &crane->trial.motion, *end = &work->end;
+    Motion *motion = &crane->trial.motion;
+    const Motion *end = &work->end;
     NonlinearState *head = crane->trial.head;
     size_t nodes = (size_t)c->n * sizeof(Vector);
     StepResult result = {0};
     int scheme = (int)c->settings.solver_scheme;
     if (head->loaded != 0.0 && jumps(&head->last_command, &load->command))
         forget_load(c, &crane->trial); /* accelerations start anew */
+    motion->last_h = head->last_h;
     Outcome outcome = SCHEME[scheme](work, motion, load, h, &result);
     head->shared.iterations += result.iterations;
     if (outcome != DONE) {
@@ -120,12 +126,14 @@ static Outcome attempt(NonlinearCrane *crane, const Load *load, double h, Failur
     next.trolley_fx = result.trolley_fx;
     next.loaded = 1.0;
     next.last_command = load->command;
+    next.last_h = end->last_h;
     next.shared.steps += 1.0;
     *head = next;
     memcpy(motion->r, end->r, nodes);
     memcpy(motion->w, end->w, nodes);
     if (!is_nan(end->a[0].x)) memcpy(motion->a, end->a, nodes); /* newmark keeps them */
     memcpy(motion->tension, end->tension, (size_t)c->n * sizeof(double));
+    memcpy(motion->stretched, end->stretched, (size_t)c->n * sizeof(double));
     return DONE;
 }
 
@@ -155,11 +163,13 @@ static State state_at(double *memory, int n) {
     s.motion.w = s.motion.r + n;
     s.motion.a = s.motion.w + n;
     s.motion.tension = (double *)(s.motion.a + n);
+    s.motion.stretched = s.motion.tension + n;
+    s.motion.last_h = 0.0;
     return s;
 }
 
 static size_t state_count(int elements) {
-    return sizeof(NonlinearState) / sizeof(double) + 7 * (size_t)elements;
+    return sizeof(NonlinearState) / sizeof(double) + 8 * (size_t)elements;
 }
 
 static size_t rounded(size_t bytes) { return (bytes + 15) / 16 * 16; }
@@ -177,19 +187,24 @@ static size_t lay_out(NonlinearCrane *crane, char *memory, int elements) {
     size_t state = state_count(elements) * sizeof(double);
     double *committed = take(memory, &used, state), *trial = take(memory, &used, state);
     Vector *vectors = take(memory, &used, 8 * n * sizeof(Vector));
-    double *numbers = take(memory, &used, 2 * n * sizeof(double));
+    double *numbers = take(memory, &used, 4 * n * sizeof(double));
     Block *blocks = take(memory, &used, 4 * n * sizeof(Block));
     if (memory) {
         Workspace *work = &crane->work;
         crane->state = state_at(committed, elements);
         crane->trial = state_at(trial, elements);
-        work->end = (Motion){vectors, vectors + n, vectors + 2 * n, numbers};
+        work->end = (Motion){.r = vectors,
+                             .w = vectors + n,
+                             .a = vectors + 2 * n,
+                             .tension = numbers,
+                             .stretched = numbers + n};
         work->a0 = vectors + 3 * n;
         work->d0 = vectors + 4 * n;
         work->d1 = vectors + 5 * n;
         work->moved = vectors + 6 * n;
         work->unknown = vectors + 7 * n;
-        work->l0 = numbers + n;
+        work->l0 = numbers + 2 * n;
+        work->lag = numbers + 3 * n;
         work->banded = (Banded){blocks, blocks + n, blocks + 2 * n, blocks + 3 * n};
     }
     return used;

@@ -12,6 +12,8 @@ typedef struct {
     Vector *r, *w;
     Vector *a; /* not a number at a start */
     double *tension;
+    double *stretched; /* m, by the last step; 0 at a start */
+    double last_h;     /* s, that step's length; 0 at a start */
 } Motion;
 
 /* What drives the crane during an internal step. */
@@ -38,6 +40,7 @@ typedef struct {
     Motion end;                   /* of the step */
     Vector *a0, *d0, *d1, *moved; /* accelerations at its start; element vectors; displacements */
     double *l0;                   /* m, elements' lengths at its start */
+    double *lag;                  /* N, viscous tension of a stretch like the last step's */
     Vector *unknown;              /* residual, then correction */
 } Workspace;
 

@@ -3,8 +3,9 @@
 Simo & Tarnow, The discrete energy-momentum method, ZAMP 43 (1992) 757-792, with the force as a
 discrete gradient of the elastic energy: Gonzalez, Time integration and discrete Hamiltonian
 systems, J. Nonlinear Sci. 6 (1996) 449-467. Energy changes in a step by the work of the trolley
-and the payload's force less the damping, whatever the step. A little viscosity along the
-elements, which shrinks with the step, takes out the axial vibrations that a step cannot resolve.
+and the payload's force less the damping, whatever the step. A little viscosity along the elements
+takes out the axial vibrations that a step cannot resolve. It acts on the change of the stretching
+from one step to the next: what is resolved stretches by nearly the same in both, and is left alone.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from .chain import (
 )
 from .scheme import Load, Motion, StepResult
 
-# chi, the scheme's axial time constant by the step. Of an axial vibration that a step cannot
-# resolve, and that changes sign from step to step, (1/2 - chi)/(1/2 + chi) is left after each.
-AXIAL_DISSIPATION = 0.05
+# c: the viscous tension is c EA/L0 times what a step's stretch differs from the last one's by. An
+# axial vibration that a step cannot resolve stretches back and forth, and keeps 1 - 8 c of itself.
+AXIAL_DISSIPATION = 0.02
 MOST_ITERATIONS = 12
 CORRECTION_TOLERANCE = 1e-8  # of the chain's length; Newton's next error is its square
 STILL = 4e-16  # of the chain's length: a correction that would only keep rest from resting
@@ -48,21 +49,50 @@ class ElementForce:
     tension: Array  # N, (n,)
 
 
-def element_force(EA: float, L0: float, viscosity: float, d0: Array, d1: Array) -> ElementForce:
+@dataclass(frozen=True)
+class Viscosity:
+    """Viscous tension of each element over a step: eta (l1 - l0) - lag, N."""
+
+    eta: float  # N/m
+    lag: Array  # N, (n,), that of a stretch like the last step's
+
+    def tension(self, stretch: Array) -> Array:
+        """Viscous tension, N, of elements that stretch by so much, m, (n,)."""
+        return self.eta * stretch - self.lag
+
+
+def viscosity_of(chain: DiscreteChain, motion: Motion, h: float) -> Viscosity:
+    """The chain's own damping, on the stretch, and the scheme's, on its change between steps.
+
+    eta = EA/L0 (tau/h + c), lag = c EA/L0 q: q is what the last step stretched by, or as much of it
+    as a shorter step would. After a start q = 0. The work of the second part, c EA/L0 (s - q) s, is
+    c EA/L0 [(s - q)^2 + s^2 - q^2]/2: of it the last two terms are stored and come back, so that
+    what is booked as dissipated can dip by them.
+    """
+    axial = chain.crane.chain.EA / chain.L0
+    eta = axial * (chain.crane.damping.chain / h + AXIAL_DISSIPATION)
+    if motion.stretched is None:
+        return Viscosity(eta, np.zeros(chain.elements))
+    again = min(1.0, h / motion.last_h) * motion.stretched
+    return Viscosity(eta, axial * AXIAL_DISSIPATION * again)
+
+
+def element_force(EA: float, L0: float, viscosity: Viscosity, d0: Array, d1: Array) -> ElementForce:
     """Discrete gradient of an element's elastic energy, with viscosity along the element.
 
-    pull = k (d0 + d1)/2,  k = [EA/L0 (l0 + l1 - 2 L0) + 2 eta (l1 - l0)]/(l0 + l1), eta in N/m,
-    so that pull . (d1 - d0) = EA/(2 L0) [(l1 - L0)^2 - (l0 - L0)^2] + eta (l1 - l0)^2 exactly.
+    pull = k (d0 + d1)/2,  k = [EA/L0 (l0 + l1 - 2 L0) + 2 V]/(l0 + l1), V the viscous tension, so
+    that pull . (d1 - d0) = EA/(2 L0) [(l1 - L0)^2 - (l0 - L0)^2] + V (l1 - l0) exactly.
     ``d0``, ``d1``: element vectors at the step's start and end, (n, 2), m.
     """
     l0 = np.hypot(d0[:, 0], d0[:, 1])
     l1 = np.hypot(d1[:, 0], d1[:, 1])
     total = l0 + l1
     axial = EA / L0
-    tension = 0.5 * (axial_force(EA, L0, l0) + axial_force(EA, L0, l1)) + viscosity * (l1 - l0)
+    elastic = 0.5 * (axial_force(EA, L0, l0) + axial_force(EA, L0, l1))
+    tension = elastic + viscosity.tension(l1 - l0)
     k = 2.0 * tension / total
     middle = 0.5 * (d0 + d1)
-    slope = (axial + 2.0 * viscosity - k) / (total * l1)
+    slope = (axial + 2.0 * viscosity.eta - k) / (total * l1)
     tangent = (slope[:, None] * middle)[:, :, None] * d1[:, None, :]
     tangent[:, 0, 0] += 0.5 * k
     tangent[:, 1, 1] += 0.5 * k
@@ -86,7 +116,7 @@ def cross(a: Array, b: Array) -> Array:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def expected_stretch(EA: float, L0: float, viscosity: float, d: Array, tension: Array) -> Array:
+def expected_stretch(EA: float, L0: float, viscosity: Viscosity, d: Array, tension: Array) -> Array:
     """Stretch factor of each element that would leave its ``tension``, N, as it was, (n,).
 
     Its length would not do: where a step cannot resolve the axial vibrations, a stiff chain's
@@ -94,8 +124,8 @@ def expected_stretch(EA: float, L0: float, viscosity: float, d: Array, tension: 
     fine mesh's light nodes anywhere.
     """
     length = np.hypot(d[:, 0], d[:, 1])
-    change = tension - axial_force(EA, L0, length)
-    return np.maximum(1.0 + change / ((0.5 * EA / L0 + viscosity) * length), LEAST_STRETCH)
+    change = tension - axial_force(EA, L0, length) + viscosity.lag
+    return np.maximum(1.0 + change / ((0.5 * EA / L0 + viscosity.eta) * length), LEAST_STRETCH)
 
 
 def corrected(d: Array, correction: Array) -> Array | None:
@@ -136,7 +166,7 @@ class EnergyMomentum:
         chain, crane = self.chain, self.chain.crane
         air = crane.damping.air
         EA, L0 = crane.chain.EA, chain.L0
-        viscosity = EA / L0 * (crane.damping.chain / h + AXIAL_DISSIPATION)
+        viscosity = viscosity_of(chain, motion, h)
         steady = applied_force(chain, load.command, load.trolley_v_after(0.5 * h))
         inertia = 2.0 / h**2 + air / h
         inertia_bands = inertia * self._mass
@@ -191,7 +221,7 @@ class EnergyMomentum:
         motion: Motion,
         load: Load,
         h: float,
-        viscosity: float,
+        viscosity: Viscosity,
         vectors: tuple[Array, Array],
         n: int,
     ) -> StepResult:
@@ -210,11 +240,11 @@ class EnergyMomentum:
         carried = carried_force(chain, load.command, trolley_v, inertia[0], inertia[-1])
         trolley_fx = carried - force.pull[0, 0]
         stretch = np.hypot(d1[:, 0], d1[:, 1]) - np.hypot(d0[:, 0], d0[:, 1])
-        dissipated = viscosity * float(stretch @ stretch)
+        dissipated = float(viscosity.tension(stretch) @ stretch)
         if air:
             dissipated += 2.0 * air * h * kinetic_energy(chain, mean_w, trolley_v)
         return StepResult(
-            motion=Motion(r1, w1, force.tension),
+            motion=Motion(r1, w1, force.tension, stretched=stretch, last_h=h),
             trolley_fx=float(trolley_fx),
             work_trolley=float(trolley_fx) * trolley_dx,
             work_payload=payload_work(load.command, moved[-1], trolley_dx),

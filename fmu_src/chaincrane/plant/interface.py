@@ -157,6 +157,7 @@ NONLINEAR_STATE = {
     **SHARED_STATE,
     "loaded": "1: the last command is known, 0: the next step is a new start for the scheme",
     **{f"{LAST_COMMAND}{row.symbol}": f"{row.unit}, of the last step, if loaded" for row in INPUTS},
+    "last_h": "s, internal step, if elements have stretched in it",
     "energy": "J",
     "scale": "J, what errors of energy are measured against",
     "trolley_fx": "N",

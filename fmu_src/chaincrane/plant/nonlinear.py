@@ -223,21 +223,32 @@ class NonlinearCrane(CraneModel):
         numbers = {
             "loaded": float(state.last is not None),
             **{LAST_COMMAND + name: value for name, value in asdict(command).items()},
+            "last_h": motion.last_h,
             "energy": state.energy,
             "scale": state.scale,
             "trolley_fx": state.trolley_fx,
         }
         a = np.full_like(motion.r, np.nan) if motion.a is None else motion.a
+        none = np.zeros_like(motion.tension)
+        stretched = none if motion.stretched is None else motion.stretched
         nodal = (motion.r.ravel(), motion.w.ravel(), a.ravel())
-        return numbers, np.concatenate((*nodal, motion.tension))
+        return numbers, np.concatenate((*nodal, motion.tension, stretched))
 
     def _load(self, numbers: dict[str, float], arrays: Array, ledger: Ledger) -> None:
         n = self.chain.elements
-        nodal, tension = np.split(arrays, (6 * n,))
+        nodal, tension, stretched = np.split(arrays, (6 * n, 7 * n))
         r, w, a = nodal.reshape(3, n, 2)
+        last_h = numbers["last_h"]
         command = {f.name: numbers[LAST_COMMAND + f.name] for f in fields(Command)}
         self._state = NonlinearState(
-            motion=Motion(r, w, tension, None if np.isnan(a).any() else a),
+            motion=Motion(
+                r,
+                w,
+                tension,
+                a=None if np.isnan(a).any() else a,
+                stretched=stretched if last_h else None,
+                last_h=last_h,
+            ),
             last=Command(**command) if numbers["loaded"] else None,
             ledger=ledger,
             energy=numbers["energy"],

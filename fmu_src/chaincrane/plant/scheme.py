@@ -17,6 +17,8 @@ class Motion:
     w: Array  # m/s, (n, 2), velocities
     tension: Array  # N, (n,)
     a: Array | None = None  # m/s2, (n, 2), accelerations; None at a start
+    stretched: Array | None = None  # m, (n,), by the last step; None at a start
+    last_h: float = 0.0  # s, that step's length
 
 
 @dataclass(frozen=True)
