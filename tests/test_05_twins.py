@@ -70,7 +70,15 @@ def scales(values: dict[str, Any]) -> dict[str, float]:
     weight = mass * values["gravity"]
     # a few of a position's last digits are 1e-13 n EA of force in a stiff element
     force = weight + 1e-4 * EA * values["chain.elements"]
-    return {"m": length, "m/s": 1.0, "rad": 1.0, "J": mass * (1.0 + weight * length), "N": force}
+    return {
+        "m": length,
+        "m/s": 1.0,
+        "rad": 1.0,
+        "J": mass * (1.0 + weight * length),
+        "N": force,
+        "N.s": mass,
+        "s": 1.0,
+    }
 
 
 def compare(numpy: Any, native: NativeCrane, values: dict[str, Any], within: float) -> None:

@@ -191,6 +191,7 @@ UNITS: Mapping[str, Mapping[str, int]] = {
     "kg": {"kg": 1},
     "N": {"kg": 1, "m": 1, "s": -2},
     "J": {"kg": 1, "m": 2, "s": -2},
+    "N.s": {"kg": 1, "m": 1, "s": -1},
     "s": {"s": 1},
     "1/s": {"s": -1},
     "rad": {"rad": 1},

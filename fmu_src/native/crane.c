@@ -45,6 +45,7 @@ void shared_outputs(const SharedState *state, const Posture *posture, double ene
     for (int i = 0; i < OUTPUTS; i++) ((double *)o)[i] = NAN;
     o->trolley_x = state->trolley_x;
     o->trolley_v = state->trolley_v;
+    o->trolley_impulse = state->trolley_impulse;
     o->payload_x = state->trolley_x + payload.x;
     o->payload_y = payload.y;
     o->payload_vx = state->trolley_v + posture->payload_w.x;

@@ -2,6 +2,8 @@
 
 #include "energy_momentum.h"
 
+#include "jump.h"
+
 /* An element's force on its lower node over a step, its derivative, and its tension. */
 typedef struct {
     Vector pull;
@@ -203,8 +205,8 @@ static void predict(Workspace *work, const Motion *from, const Load *load, doubl
 }
 
 /* M (w1 - w0)/h + alpha M (w0 + w1)/2 + F(r0, r1) = f - b (a + alpha v). */
-Outcome energy_momentum_step(Workspace *work, const Motion *from, const Load *load, double h,
-                             StepResult *result) {
+static Outcome step(Workspace *work, const Motion *from, const Load *load, double h,
+                    StepResult *result) {
     const Chain *c = &work->chain;
     const Settings *p = &c->settings;
     double eta = viscosity_of(work, from, h);
@@ -229,3 +231,5 @@ Outcome energy_momentum_step(Workspace *work, const Motion *from, const Load *lo
     }
     return NOT_CONVERGED;
 }
+
+const Scheme ENERGY_MOMENTUM_SCHEME = {filtered_jump, step};

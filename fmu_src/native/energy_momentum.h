@@ -5,6 +5,6 @@
 
 #include "scheme.h"
 
-Step energy_momentum_step;
+extern const Scheme ENERGY_MOMENTUM_SCHEME;
 
 #endif

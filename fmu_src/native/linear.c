@@ -292,7 +292,8 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
         jumped.rate[i] = c->motion.rate[i] - c->push[i] * dv;
     }
     double start_momentum = momentum(c, jumped, v);
-    double jump_work = 0.5 * (v + before_v) * (start_momentum - before_momentum);
+    double impulse = start_momentum - before_momentum;
+    double jump_work = 0.5 * (v + before_v) * impulse;
     drag(c, jumped, h, v, command, &taken, &drag_work);
     prepare_response(c, h);
     for (int i = 0; i < n; i++) {
@@ -312,6 +313,7 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
     shared->ledger_payload += payload_work(command, payload_moved, trolley_dx);
     shared->ledger_dissipated += taken;
     c->head->trolley_fx = drive_force(c, end_v, command);
+    shared->trolley_impulse = impulse;
     move_trolley(shared, h, command);
     shared->time += h;
     shared->steps = 1.0;
@@ -336,6 +338,7 @@ static void outputs(const void *memory, Outputs *o) {
         posture.points[point] = (Vector){q[point], c->depth[point]};
     shared_outputs(shared, &posture, energy(c, *motion, shared->trolley_v), o);
     o->trolley_fx = c->head->trolley_fx;
+    o->chain_slack_time = 0.0;
     o->chain_tension_top = hanging_tension(&c->chain, 0);
     o->chain_tension_min = hanging_tension(&c->chain, n - 1);
 }

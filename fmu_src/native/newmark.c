@@ -4,6 +4,8 @@
 
 #include <string.h>
 
+#include "jump.h"
+
 /* Axial force with the chain's damping, N. */
 static double axial(const Chain *c, Vector d, double length, Vector dw) {
     double tau = c->settings.damping_chain, force = axial_force(c, length);
@@ -96,8 +98,8 @@ static void step_result(Workspace *work, const Motion *from, const Load *load, d
     result->dissipated = damping_work(work, from, v0, v1, trolley_dx);
 }
 
-Outcome newmark_step(Workspace *work, const Motion *from, const Load *load, double h,
-                     StepResult *result) {
+static Outcome step(Workspace *work, const Motion *from, const Load *load, double h,
+                    StepResult *result) {
     const Chain *c = &work->chain;
     const Settings *p = &c->settings;
     const Motion *end = &work->end;
@@ -171,3 +173,5 @@ Outcome newmark_step(Workspace *work, const Motion *from, const Load *load, doub
     }
     return NOT_CONVERGED;
 }
+
+const Scheme NEWMARK_SCHEME = {plain_jump, step};

@@ -5,6 +5,6 @@
 
 #include "scheme.h"
 
-Step newmark_step;
+extern const Scheme NEWMARK_SCHEME;
 
 #endif

@@ -7,10 +7,11 @@
 
 #include "crane.h"
 #include "energy_momentum.h"
+#include "jump.h"
 #include "newmark.h"
 
-static Step *const SCHEME[] = {[SOLVER_SCHEME_ENERGY_MOMENTUM] = energy_momentum_step,
-                               [SOLVER_SCHEME_NEWMARK] = newmark_step};
+static const Scheme *const SCHEME[] = {[SOLVER_SCHEME_ENERGY_MOMENTUM] = &ENERGY_MOMENTUM_SCHEME,
+                                       [SOLVER_SCHEME_NEWMARK] = &NEWMARK_SCHEME};
 
 /* A state: numbers by name, then r (n), w (n), a (n) as x, y pairs, then tension and stretched (n). */
 typedef struct {
@@ -57,24 +58,54 @@ static int jumps(const Command *before, const Command *after) {
     return 0;
 }
 
-/* The trolley's velocity jumps to ``after``: M_ff dw = -b dv; the impulse works at the mean v. */
-static void jump(Workspace *work, State *s, double after) {
+/* The scheme of a crane's settings. */
+static const Scheme *scheme_of(const Chain *c) { return SCHEME[(int)c->settings.solver_scheme]; }
+
+/* Elements at the lengths of the tension that a jump requires, or as far on the way as keeps ``most``
+   J; the energy then. */
+static double settle(Workspace *work, Motion *motion, double trolley_v, double most,
+                     double energy) {
+    const Chain *c = &work->chain;
+    size_t nodes = (size_t)c->n * sizeof(Vector);
+    double share = 1.0;
+    for (int i = 0; i < MAX_HALVINGS; i++) {
+        settled(work, motion, share);
+        double now = mechanical_energy(c, &work->end, trolley_v);
+        if (now <= most) {
+            for (int e = 0; e < c->n; e++) {
+                double elastic = axial_force(c, norm(along(motion->r, e)));
+                motion->tension[e] = elastic + share * (work->end.tension[e] - elastic);
+            }
+            memcpy(motion->r, work->end.r, nodes);
+            memcpy(motion->w, work->end.w, nodes);
+            return now;
+        }
+        share *= 0.5;
+    }
+    return energy;
+}
+
+/* The trolley's velocity jumps to ``after``. The drive's impulse gives all change of momentum, and
+   works at the mean velocity; what the jump leaves out of axial vibrations is booked as dissipated. */
+static void jump(Workspace *work, State *s, const Command *command, double after) {
     const Chain *c = &work->chain;
     SharedState *shared = &s->head->shared;
-    double before = shared->trolley_v, dv = after - before;
+    double before = shared->trolley_v, dv = after - before, momentum = 0.0;
+    shared->trolley_impulse = 0.0;
     if (dv == 0.0) return;
-    Vector *dw = work->unknown;
-    for (int i = 0; i < c->n; i++) dw[i] = (Vector){-row_mass(c, i) * dv, 0.0};
-    mass_solve(c, work->l0, dw);
-    for (int i = 0; i < c->n; i++) {
-        s->motion.w[i].x += dw[i].x;
-        s->motion.w[i].y += dw[i].y;
+    int settles = scheme_of(c)->jump(work, &s->motion, command, after, dv);
+    for (int i = 0; i < c->n; i++) momentum += row_mass(c, i) * work->unknown[i].x;
+    double impulse = c->total_mass * dv + momentum, work_trolley = 0.5 * (before + after) * impulse;
+    double scale = energy_scale(c, s->head, after);
+    double energy = mechanical_energy(c, &s->motion, after);
+    if (settles) {
+        energy = settle(work, &s->motion, after, energy + JUMP_GAIN * scale, energy);
+        shared->ledger_dissipated += s->head->energy + work_trolley - energy;
     }
-    double impulse = c->row_mass0 * dv + c->coupling * dw[0].x;
-    impulse += c->end_coupling * dw[c->n - 1].x;
-    shared->ledger_trolley += 0.5 * (before + after) * impulse;
-    s->head->energy = mechanical_energy(c, &s->motion, after);
-    s->head->scale = energy_scale(c, s->head, after);
+    shared->trolley_impulse = impulse;
+    shared->ledger_trolley += work_trolley;
+    s->head->energy = energy;
+    s->head->scale = scale;
     forget_load(c, s);
 }
 
@@ -105,11 +136,10 @@ static Outcome attempt(NonlinearCrane *crane, const Load *load, double h, Failur
     NonlinearState *head = crane->trial.head;
     size_t nodes = (size_t)c->n * sizeof(Vector);
     StepResult result = {0};
-    int scheme = (int)c->settings.solver_scheme;
     if (head->loaded != 0.0 && jumps(&head->last_command, &load->command))
         forget_load(c, &crane->trial); /* accelerations start anew */
     motion->last_h = head->last_h;
-    Outcome outcome = SCHEME[scheme](work, motion, load, h, &result);
+    Outcome outcome = scheme_of(c)->step(work, motion, load, h, &result);
     head->shared.iterations += result.iterations;
     if (outcome != DONE) {
         *failure = (Failure){0.0, h, 0.0, 0.0, 0.0};
@@ -127,6 +157,11 @@ static Outcome attempt(NonlinearCrane *crane, const Load *load, double h, Failur
     next.loaded = 1.0;
     next.last_command = load->command;
     next.last_h = end->last_h;
+    for (int e = 0; e < c->n; e++)
+        if (end->tension[e] < 0.0) {
+            next.slack_time += h;
+            break;
+        }
     next.shared.steps += 1.0;
     *head = next;
     memcpy(motion->r, end->r, nodes);
@@ -248,7 +283,7 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
     if (!is_allowed(&crane->state.head->shared, settings, h, command)) return BAD_VALUE;
     memcpy(s->head, crane->state.head, bytes);
     double v = commanded(shared, command), count = equal_parts(h, settings->solver_max_step);
-    jump(&crane->work, s, v);
+    jump(&crane->work, s, command, v);
     shared->steps = shared->iterations = 0.0;
     for (double i = 0.0; i < count; i += 1.0) {
         Outcome outcome = internal_step(crane, v, command, i * h / count, h / count, 0, failure);
@@ -274,6 +309,7 @@ static void outputs(const void *memory, Outputs *o) {
     }
     shared_outputs(&head->shared, &posture, head->energy, o);
     o->trolley_fx = head->trolley_fx;
+    o->chain_slack_time = head->slack_time;
     o->chain_tension_top = o->chain_tension_min = motion->tension[0];
     for (int e = 1; e < c->n; e++)
         if (motion->tension[e] < o->chain_tension_min) o->chain_tension_min = motion->tension[e];

@@ -44,8 +44,19 @@ typedef struct {
     Vector *unknown;              /* residual, then correction */
 } Workspace;
 
+/* A jump of the trolley's velocity by dv to trolley_v, m/s: changes motion's velocities, by what stands
+   in work->unknown then. Not 0: and the motion after it requires the tension in work->end.tension. */
+typedef int Jump(Workspace *work, Motion *motion, const Command *command, double trolley_v,
+                 double dv);
+
 /* One step of h seconds from ``from``: DONE, or why not. */
 typedef Outcome Step(Workspace *work, const Motion *from, const Load *load, double h,
                      StepResult *result);
+
+/* A time-stepping scheme. */
+typedef struct {
+    Jump *jump;
+    Step *step;
+} Scheme;
 
 #endif

@@ -47,6 +47,7 @@ class CraneModel(ABC):
         self.start_time = self.time = 0.0
         self.trolley = Trolley(v=self.initial.speed)
         self.effort = Effort()
+        self.impulse = 0.0  # N s, of the jump at the last communication step's start
         fractions = np.append(np.arange(1, MATERIAL_POINTS + 1) / MATERIAL_POINTS, 0.5)
         self._interpolation = interpolation(self.numerics.elements, fractions)
 
@@ -108,6 +109,7 @@ class CraneModel(ABC):
             "ledger_trolley": ledger.trolley,
             "ledger_payload": ledger.payload,
             "ledger_dissipated": ledger.dissipated,
+            "trolley_impulse": self.impulse,
         }
         own, arrays = self._save()
         numbers |= own
@@ -130,6 +132,7 @@ class CraneModel(ABC):
             numbers["trolley_x"], numbers["trolley_v"], numbers["trolley_gained"]
         )
         self.effort = Effort(int(numbers["steps"]), int(numbers["iterations"]))
+        self.impulse = numbers["trolley_impulse"]
         ledger = Ledger(**{f: numbers[f"ledger_{f}"] for f in Ledger.__dataclass_fields__})
         own = {name: value for name, value in numbers.items() if name not in SHARED_STATE}
         self._load(own, vector[len(names) :], ledger)
@@ -154,6 +157,7 @@ class CraneModel(ABC):
         values = {
             "trolley.x": trolley.x,
             "trolley.v": trolley.v,
+            "trolley.impulse": self.impulse,
             "payload.x": trolley.x + x_rel,
             "payload.y": y_rel,
             "payload.vx": trolley.v + float(posture.payload_w[0]),

@@ -28,7 +28,9 @@ from .chain import (
     mass_times,
     payload_work,
 )
-from .scheme import Load, Motion, StepResult
+from .command import Command
+from .jump import filtered_jump
+from .scheme import Jump, Load, Motion, StepResult
 
 # c: the viscous tension is c EA/L0 times what a step's stretch differs from the last one's by. An
 # axial vibration that a step cannot resolve stretches back and forth, and keeps 1 - 8 c of itself.
@@ -148,6 +150,10 @@ class EnergyMomentum:
     def __init__(self, chain: DiscreteChain) -> None:
         self.chain = chain
         self._mass = banded.mass_bands(chain)
+
+    def jump(self, motion: Motion, command: Command, trolley_v: float, dv: float) -> Jump:
+        """A jump without the axial vibrations that no step resolves."""
+        return filtered_jump(self.chain, motion, command, trolley_v, dv)
 
     def start(self, motion: Motion, load: Load) -> Motion:
         """The scheme keeps no accelerations: nothing to prepare."""

@@ -52,6 +52,11 @@ OUTPUTS = (
         starts_from=_WEIGHT + _SWAY,
     ),
     output(
+        "trolley.impulse",
+        "N.s",
+        "of the drive on the chain, by the jump at the last communication step's start; 0: none",
+    ),
+    output(
         "payload.x",
         "m",
         "horizontal position, absolute",
@@ -109,6 +114,11 @@ OUTPUTS = (
         starts_from=_WEIGHT + _SWAY,
         starts_from_linear=_WEIGHT,
     ),
+    output(
+        "chain.slack_time",
+        "s",
+        "time since the start in which an element was in compression; 0 in the linear crane",
+    ),
     *(_point("x", i, "absolute") for i in range(1, MATERIAL_POINTS + 1)),
     *(_point("y", i, "height") for i in range(1, MATERIAL_POINTS + 1)),
     output(
@@ -151,6 +161,7 @@ SHARED_STATE = {
     "ledger_trolley": "J, work of the trolley since",
     "ledger_payload": "J, work of the payload's force since",
     "ledger_dissipated": "J, taken out since",
+    "trolley_impulse": "N s, of the jump at the last communication step's start",
 }
 LAST_COMMAND = "last_command."  # before the name of a command's field
 NONLINEAR_STATE = {
@@ -161,5 +172,6 @@ NONLINEAR_STATE = {
     "energy": "J",
     "scale": "J, what errors of energy are measured against",
     "trolley_fx": "N",
+    "slack_time": "s, since the start",
 }
 LINEAR_STATE = {**SHARED_STATE, "trolley_fx": "N"}

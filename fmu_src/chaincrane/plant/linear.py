@@ -264,6 +264,7 @@ class LinearCrane(CraneModel):
             p0 + h * p1 - self.crane.damping.air * after.rate - self.modes.omega**2 * after.eta
         )
         self._trolley_fx = self._drive_force(end_v, command)
+        self.impulse = impulse
         self._ledger = self._ledger.booked(jump_work + drive_work, work_payload, dissipated)
         self.effort = Effort(steps=1, iterations=0)
 
@@ -344,4 +345,5 @@ class LinearCrane(CraneModel):
             "trolley.fx": self._trolley_fx,
             "chain.tension_top": float(self._tension[0]),
             "chain.tension_min": float(self._tension[-1]),
+            "chain.slack_time": 0.0,
         }

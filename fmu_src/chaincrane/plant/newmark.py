@@ -27,7 +27,8 @@ from .chain import (
     payload_work,
 )
 from .command import Command
-from .scheme import Load, Motion, StepResult
+from .jump import plain_jump
+from .scheme import Jump, Load, Motion, StepResult
 
 MOST_NEWMARK_ITERATIONS = 200
 LOOKED_BACK_AT = 20  # iteration by which corrections must have shrunk
@@ -48,6 +49,10 @@ class Newmark:
         self._force_tolerance = (
             FORCE_TOLERANCE * weight + FORCE_ROUND_OFF * crane.chain.EA * chain.elements
         )
+
+    def jump(self, motion: Motion, command: Command, trolley_v: float, dv: float) -> Jump:
+        """The mass matrix' own impulse."""
+        return plain_jump(self.chain, motion, dv)
 
     def start(self, motion: Motion, load: Load) -> Motion:
         """Step I: accelerations from dynamic equilibrium, M a = f - f_sigma - C v."""

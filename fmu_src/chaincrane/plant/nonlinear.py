@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 
 from ..errors import EnergyBalanceBroken, NotConverged
-from . import banded
 from .chain import (
     Array,
     DiscreteChain,
@@ -22,6 +21,7 @@ from .command import Command
 from .crane import CraneModel, Posture
 from .energy_momentum import EnergyMomentum
 from .interface import LAST_COMMAND, NONLINEAR_STATE
+from .jump import settled
 from .ledger import Effort, Ledger
 from .newmark import Newmark
 from .parameters import Crane, Initial, Numerics
@@ -35,6 +35,7 @@ SCHEME_CLASSES: dict[str, Callable[[DiscreteChain], Scheme]] = {
 MAX_HALVINGS = 12  # of an internal step that does not converge or breaks the energy balance
 STEP_ENERGY_TOLERANCE = 1e-3  # of the energy put in so far, what a step may be off by
 TOTAL_ENERGY_TOLERANCE = 5e-3  # the same, since the start
+JUMP_GAIN = 1e-3  # the same, what a jump may add by setting elements to the tension after it
 ROUND_OFF_ENERGY = 1e-9  # of weight times length, what round-off alone may amount to
 
 
@@ -48,6 +49,7 @@ class NonlinearState:
     energy: float  # J
     scale: float  # J, what errors are measured against, see _scale
     trolley_fx: float  # N
+    slack_time: float = 0.0  # s
 
 
 def jumps(before: Command, after: Command) -> bool:
@@ -67,7 +69,6 @@ class NonlinearCrane(CraneModel):
         super().__init__(crane, initial, numerics)
         chain = self.chain
         self._scheme: Scheme = SCHEME_CLASSES[self.numerics.scheme](chain)
-        self._mass = banded.Factors(banded.mass_bands(chain))
         r = straight_chain(chain, self.initial.sway_angle)
         d = along_elements(r)
         length = np.hypot(d[:, 0], d[:, 1])
@@ -103,33 +104,50 @@ class NonlinearCrane(CraneModel):
             self.chain, motion.r
         )
 
-    def _jump(self, state: NonlinearState, before: float, after: float) -> NonlinearState:
-        """The trolley's velocity jumps, m/s: the impulse of the mass matrix on the free nodes.
+    def _jump(
+        self, state: NonlinearState, command: Command, before: float, after: float
+    ) -> tuple[NonlinearState, float]:
+        """The trolley's velocity jumps, m/s: the state after it, and the drive's impulse, N s.
 
-        M_ff dw = -b dv, with b the row sums; the drive's impulse works at the mean velocity.
+        The impulse gives all change of momentum, and works at the mean velocity; what the jump
+        leaves out of axial vibrations is booked as dissipated.
         """
-        dv = after - before
+        chain, dv = self.chain, after - before
         if dv == 0.0:
-            return state
-        push = np.zeros_like(state.motion.w)
-        push[:, 0] = -self.chain.row_mass * dv
-        dw = self._mass.solve(push)
-        motion = Motion(state.motion.r, state.motion.w + dw, state.motion.tension)
-        chain = self.chain
-        impulse = chain.row_mass0 * dv + chain.mass_coupling * float(dw[0, 0])
-        impulse += chain.end_coupling * float(dw[-1, 0])
-        energy = self._energy(motion, after)
-        return replace(
+            return state, 0.0
+        jump = self._scheme.jump(state.motion, command, after, dv)
+        impulse = self.crane.total_mass * dv + float(chain.row_mass @ jump.dw[:, 0])
+        work = 0.5 * (before + after) * impulse
+        scale = self._scale(state.scale, after, state.ledger)
+        motion, energy = jump.motion, self._energy(jump.motion, after)
+        if jump.tension is not None:
+            motion = self._settled(motion, jump.tension, after, energy + JUMP_GAIN * scale)
+            energy = self._energy(motion, after)
+        dissipated = 0.0 if jump.tension is None else state.energy + work - energy
+        settled = replace(
             state,
             motion=motion,
             last=None,
-            ledger=state.ledger.booked(0.5 * (before + after) * impulse, 0.0, 0.0),
+            ledger=state.ledger.booked(work, 0.0, dissipated),
             energy=energy,
-            scale=self._scale(state.scale, after, state.ledger),
+            scale=scale,
         )
+        return settled, impulse
+
+    def _settled(self, motion: Motion, tension: Array, trolley_v: float, most: float) -> Motion:
+        """Elements at the lengths of ``tension``, or as far on the way as keeps ``most`` J."""
+        length = np.hypot(*along_elements(motion.r).T)
+        now = axial_force(self.crane.chain.EA, self.chain.L0, length)
+        share = 1.0
+        for _ in range(MAX_HALVINGS):
+            after = settled(self.chain, motion, now + share * (tension - now))
+            if self._energy(after, trolley_v) <= most:
+                return after
+            share *= 0.5
+        return motion
 
     def _advance(self, h: float, start: Trolley, command: Command) -> None:
-        state = self._jump(self._state, self.trolley.v, start.v)
+        state, impulse = self._jump(self._state, command, self.trolley.v, start.v)
         count = self.internal_steps(h)
         effort = Effort()
         for i in range(count):
@@ -138,6 +156,7 @@ class NonlinearCrane(CraneModel):
             )
         self._state = state
         self.effort = effort
+        self.impulse = impulse
 
     def _internal_step(
         self,
@@ -186,6 +205,7 @@ class NonlinearCrane(CraneModel):
             energy=energy,
             scale=self._scale(state.scale, load.trolley_v_after(h), ledger),
             trolley_fx=result.trolley_fx,
+            slack_time=state.slack_time + (h if result.motion.tension.min() < 0.0 else 0.0),
         )
         return after, result.iterations
 
@@ -227,6 +247,7 @@ class NonlinearCrane(CraneModel):
             "energy": state.energy,
             "scale": state.scale,
             "trolley_fx": state.trolley_fx,
+            "slack_time": state.slack_time,
         }
         a = np.full_like(motion.r, np.nan) if motion.a is None else motion.a
         none = np.zeros_like(motion.tension)
@@ -254,6 +275,7 @@ class NonlinearCrane(CraneModel):
             energy=numbers["energy"],
             scale=numbers["scale"],
             trolley_fx=numbers["trolley_fx"],
+            slack_time=numbers["slack_time"],
         )
 
     def _posture(self) -> Posture:
@@ -267,4 +289,5 @@ class NonlinearCrane(CraneModel):
             "trolley.fx": state.trolley_fx,
             "chain.tension_top": float(state.motion.tension[0]),
             "chain.tension_min": float(state.motion.tension.min()),
+            "chain.slack_time": state.slack_time,
         }

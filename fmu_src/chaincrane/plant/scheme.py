@@ -22,6 +22,15 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Jump:
+    """What a jump makes of a motion; ``tension``, N, (n,), is what the motion after it requires."""
+
+    motion: Motion
+    dw: Array  # m/s, (n, 2), change of the nodes' velocities
+    tension: Array | None = None  # None: the elements' lengths stay
+
+
+@dataclass(frozen=True)
 class Load:
     """What drives the crane during an internal step."""
 
@@ -47,6 +56,9 @@ class StepResult:
 
 class Scheme(Protocol):
     """A time-stepping scheme for one chain."""
+
+    def jump(self, motion: Motion, command: Command, trolley_v: float, dv: float) -> Jump:
+        """A jump of the trolley's velocity by ``dv`` to ``trolley_v``, m/s."""
 
     def start(self, motion: Motion, load: Load) -> Motion:
         """Make ``motion`` ready for a first step, or for one after a change of load."""
