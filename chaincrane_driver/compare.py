@@ -14,6 +14,7 @@ from .errors import UserError
 from .scenario import Run, Scenario, read_toml
 from .tables import Table
 
+IN_THOUSANDTHS = ("m", "m/s", "rad")  # shown in mm, mm/s, mrad
 COST = ("solver.steps", "solver.iterations")  # what a run costs, not what it gives
 
 
@@ -50,7 +51,7 @@ def difference(truth: Table, other: Table, signal: str) -> Difference:
 
 def shown(unit: str | None) -> tuple[float, str]:
     """Factor and name of the unit that values of ``unit`` are shown in: lengths in mm."""
-    return (1e3, "mm") if unit == "m" else (1.0, unit or "")
+    return (1e3, f"m{unit}") if unit in IN_THOUSANDTHS else (1.0, unit or "")
 
 
 def comparison_table(
