@@ -1,4 +1,4 @@
-"""The command line: chaincrane run, figures, check, antisway, study."""
+"""The command line: chaincrane run, converge, figures, check, antisway, study."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from . import compare, plots, scenario, study
+from . import compare, converge, plots, scenario, study
 from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_setting
 from .errors import UserError
 from .loop import ORDERS
@@ -50,6 +50,33 @@ def command_run(options: argparse.Namespace) -> int:
         print(f"{one.title} ({one.name})\n\n{compare.comparison_table(one, results, units)}\n")
         pictures = plots.comparison(one, results, units, out / "comparison")
         print(f"written: {out}/*.csv, {', '.join(str(path) for path in pictures)}\n")
+    return 0
+
+
+def command_converge(options: argparse.Namespace) -> int:
+    """Estimate the time and mesh errors of a scenario's runs: tables, CSV, a picture.
+
+    Each run is repeated with solver.max_step halved twice, then with chain.elements doubled twice.
+    Where the differences do not shrink, or are large, the signal is not predictable: so it says.
+    """
+    one = scenario.load(options.scenario)
+    runs = [run for run in one.runs if options.run in (None, run.name)]
+    if not runs:
+        known = ", ".join(run.name for run in one.runs)
+        raise UserError(f"{one.folder}: there is no run {options.run!r}; runs are {known}")
+    findings = converge.study(one, runs, options.fmus, options.signals)
+    path = options.out / one.name / "convergence.csv"
+    converge.write_csv(path, findings)
+    drawn = options.signals or one.look_at
+    signals = [signal for signal in findings[0].signals if signal.name in drawn]
+    pictures = plots.convergence_figure(
+        findings[0], signals, f"{one.title}: how well it converges", path.with_suffix("")
+    )
+    print(f"{one.title} ({one.name})\n")
+    for finding in findings:
+        print(f"{finding.settings}\n\n{converge.table(finding)}\n")
+    print(f"{converge.LEGEND}\n")
+    print("written: " + ", ".join(str(one) for one in (path, *pictures)))
     return 0
 
 
@@ -238,6 +265,23 @@ def parser() -> argparse.ArgumentParser:
     run = command("run", command_run, "chaincrane run scenarios/paper_heavy")
     run.add_argument("scenario", type=Path, nargs="+", help="a scenario's folder")
     run.add_argument("--out", type=Path, default=Path("results"), help="output folder (results)")
+
+    converging = command(
+        "converge", command_converge, "chaincrane converge scenarios/paper_heavy --run nonlinear"
+    )
+    converging.add_argument("scenario", type=Path, help="the scenario's folder")
+    converging.add_argument("--run", metavar="NAME", help="one run of the scenario (all)")
+    converging.add_argument(
+        "--signals",
+        type=lambda text: tuple(filter(None, text.split(","))),
+        default=(),
+        metavar="NAME,NAME",
+        help="Real outputs to judge and to draw (what the scenario looks at is drawn; judged too:"
+        f" {', '.join(converge.BESIDES)})",
+    )
+    converging.add_argument(
+        "--out", type=Path, default=Path("results"), metavar="DIR", help="output folder (results)"
+    )
 
     figures = command("figures", command_figures, "chaincrane figures --out figures")
     scenarios(figures)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import cycle
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .compare import shown
+from .converge import Estimate, Finding, Signal
 from .scenario import Run, Scenario
 from .tables import Table
 
@@ -30,6 +32,9 @@ SIGNAL_TITLES = {
     "payload.x_rel": "payload, relative to the trolley: payload.x_rel",
     "chain.mid_x_rel": "middle of the chain, relative: chain.mid_x_rel",
 }
+# Name, colour of lines, colour of bands.
+ERROR_STYLES = (("time error", "#D55E00", "#E69A66"), ("mesh error", "#0072B2", "#BFDCEC"))
+BELOW, ABOVE = 100.0, 4.0  # an axis of errors reaches so far below the least and above the largest
 SHAPE_POINTS = 10
 SHAPE_TIMES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.08, 1.16, 1.24, 1.44, 2.0, 2.1, 2.2, 2.3)
 
@@ -210,3 +215,108 @@ def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) 
     figure.suptitle("1 m within 0.5 m/s and 1 m/s2; rope-angle sensor, 0.5 degree noise")
     _legend(figure, axes[0, 0])
     return _save(figure, stem)
+
+
+def convergence_figure(
+    finding: Finding, signals: Sequence[Signal], title: str, stem: Path
+) -> list[Path]:
+    """Signals of a run with bands of their estimated errors, and below each its errors."""
+    columns = min(len(signals), 2)
+    blocks = ceil(len(signals) / columns)
+    size = max(5.2 * columns, 6.4), 0.6 + 4.8 * blocks
+    figure, axes = _new(2 * blocks, columns, *size, sharex=True, height_ratios=(3, 2) * blocks)
+    for place in range(blocks * columns):
+        row, column = 2 * (place // columns), place % columns
+        top, bottom = axes[row, column], axes[row + 1, column]
+        if place >= len(signals):
+            top.set_axis_off()
+            bottom.set_axis_off()
+            continue
+        _error_band(top, finding, signals[place])
+        _error_curves(bottom, finding, signals[place])
+        if place + columns >= len(signals):
+            bottom.tick_params(labelbottom=True)
+            bottom.set_xlabel("time, s")
+    figure.suptitle(f"{title}\n{finding.settings}", fontsize=10)
+    _legend(figure, axes[0, 0])
+    return _save(figure, stem)
+
+
+def _errors(signal: Signal) -> list[tuple[str, str, str, Estimate]]:
+    """Name, colour of lines, colour of bands and estimate of a signal's two errors."""
+    errors = (signal.time, signal.mesh)
+    return [(*style, error) for style, error in zip(ERROR_STYLES, errors, strict=True)]
+
+
+def _error_band(axes: Axes, finding: Finding, signal: Signal) -> None:
+    """A signal, around it its time error so far, and around that its mesh error so far."""
+    factor, unit = shown(signal.unit)
+    time, values = finding.time, factor * signal.values
+    reach = np.zeros(len(time))
+    axes.plot(time, values, color="black", linewidth=1.0, label=finding.case.run.label)
+    for name, _, colour, error in _errors(signal):
+        inner, reach = reach, reach + factor * error.running
+        label = f"\N{PLUS-MINUS SIGN} {name}"
+        axes.fill_between(
+            time, values + inner, values + reach, color=colour, linewidth=0, label=label
+        )
+        axes.fill_between(time, values - reach, values - inner, color=colour, linewidth=0)
+    start = _shade_unpredictable(axes, time, signal)
+    if start is not None:
+        _say_unpredictable(axes, start, time[-1], signal)
+    axes.set_title(SIGNAL_TITLES.get(signal.name, signal.name), loc="left", fontsize=9)
+    axes.set_ylabel(unit)
+    axes.margins(x=0)
+
+
+def _error_curves(axes: Axes, finding: Finding, signal: Signal) -> None:
+    """The errors of a signal on a logarithmic axis."""
+    factor, unit = shown(signal.unit)
+    time, sizes = finding.time, []
+    for place, (name, colour, _, error) in enumerate(_errors(signal)):
+        if error.exact:
+            text, where = f"{name}: none but round-off", (0.02, 0.9 - 0.13 * place)
+            axes.annotate(text, where, xycoords="axes fraction", color=colour, fontsize=8)
+            continue
+        axes.plot(time, factor * error.local, color=colour, linewidth=0.5, alpha=0.6)
+        axes.plot(time, factor * error.running, color=colour, linewidth=1.6)
+        sizes.append(factor * error.largest)
+    if sizes:
+        axes.set_yscale("log")
+        axes.set_ylim(min(sizes) / BELOW, max(sizes) * ABOVE)
+    else:
+        axes.set_yticks([])
+    _shade_unpredictable(axes, time, signal)
+    text = "estimated errors: at each time (thin), largest so far (bold)"
+    axes.set_title(text, loc="left", fontsize=9)
+    axes.set_ylabel(unit)
+    axes.margins(x=0)
+
+
+def _shade_unpredictable(axes: Axes, time: np.ndarray, signal: Signal) -> float | None:
+    """Grey from when on a signal is not predictable: that time, s; None where it always is."""
+    starts = [error.lost_at for *_, error in _errors(signal) if error.lost_at is not None]
+    if not starts:
+        return None
+    axes.axvspan(min(starts), time[-1], color="0.93", linewidth=0, zorder=0)
+    return min(starts)
+
+
+def _say_unpredictable(axes: Axes, start: float, end: float, signal: Signal) -> None:
+    """Words in the grey from ``start`` to ``end``, s, that say whose fault it is."""
+    lost = [(name, error.lost_at) for name, *_, error in _errors(signal)]
+    words = [f"{name}, after {at:.4g} s" for name, at in lost if at is not None]
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.1 * (1 + len(words)) * (high - low), high)  # room for them
+    early = start < 0.6 * end
+    axes.annotate(
+        "\n".join(["not predictable:", *words]),
+        (start if early else end, 0.02),
+        xytext=(3 if early else -3, 0),
+        textcoords="offset points",
+        xycoords=("data", "axes fraction"),
+        horizontalalignment="left" if early else "right",
+        verticalalignment="bottom",
+        color="0.25",
+        fontsize=8,
+    )
