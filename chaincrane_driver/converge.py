@@ -35,9 +35,7 @@ ORDERS = (0.9, 4.5)
 # Where runs converge, the second difference is below so much of the first: largest and RMS.
 SHRINK_LARGEST, SHRINK_RMS = 0.8, 0.6
 MATTERS = 0.01  # of a signal's scale: a difference below it is small, predictable or not
-SWAMPS = (
-    0.2  # of a signal's scale: a difference above it is no small one that could be extrapolated
-)
+SWAMPS = 0.2  # of a signal's scale: a difference above it is too large to extrapolate from
 ROUND_OFF = 1e-8  # of the largest value in the same unit
 NOTHING = 1e-9  # in SI units: below it all is round-off
 WHOLE = 1e-9  # of a ratio: so near to a whole number it counts as whole

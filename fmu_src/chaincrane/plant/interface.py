@@ -103,7 +103,8 @@ OUTPUTS = (
     output(
         "chain.tension_top",
         "N",
-        "tension of the chain at the trolley; nonlinear: mean of the last internal step",
+        "tension of the chain at the trolley; nonlinear: mean of the last internal step, and after"
+        " a jump without what vibrates faster than some 450 Hz along a stiff chain",
         starts_from=_WEIGHT + _SWAY,
         starts_from_linear=_WEIGHT,
     ),
@@ -129,12 +130,16 @@ OUTPUTS = (
         starts_from_linear=_ENERGY,
     ),
     output(
-        "energy.dissipated", "J", "taken out since the start by damping and by the scheme itself"
+        "energy.dissipated",
+        "J",
+        "taken out since the start by damping and by the scheme itself; can dip by what the scheme"
+        " gives back",
     ),
     output(
         "energy.error",
         "J",
-        "energy + dissipated - work of trolley and payload force, since the start; ideally 0",
+        "energy + dissipated - work of trolley and payload force, since the start; ideally 0. It"
+        " does not see the time error",
     ),
     count("solver.steps", "internal steps of the last communication step"),
     count("solver.iterations", "iterations of the last communication step"),
