@@ -194,7 +194,7 @@ int main(int count, char **arguments) {
         }
         begin(&fmu, c, starts, arguments + 6);
         Settings settings = chosen(&fmu, c);
-        void *memory = malloc(crane->memory((int)settings.chain_elements));
+        void *memory = malloc(crane->memory(&settings));
         if (!memory) fail("no memory");
         fmu_run(&fmu, c, commands, steps, &whole);
         bare_run(crane, memory, &settings, commands, steps, 0, &alone);

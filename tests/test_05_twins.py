@@ -18,7 +18,7 @@ from chaincrane.plant.interface import settings as crane_settings
 from chaincrane.plant.kernel import NativeCrane
 from chaincrane.plant.linear import LinearCrane
 from chaincrane.plant.nonlinear import NonlinearCrane
-from chaincrane.plant.parameters import MASS_MATRICES, SCHEMES
+from chaincrane.plant.parameters import ERROR_ESTIMATES, MASS_MATRICES, SCHEMES
 
 CHOSEN = {
     "chain.length": st.floats(0.3, 5.0),
@@ -48,6 +48,7 @@ NONLINEAR = st.fixed_dictionaries(
     | {
         "solver.max_step": st.sampled_from([5e-4, 1e-3, 7e-3]),
         "solver.scheme": st.sampled_from(SCHEMES),
+        "solver.error_estimate": st.sampled_from(ERROR_ESTIMATES),
     }
 ).map(with_resolved_damping)
 LINEAR = st.fixed_dictionaries(CHOSEN | {"solver.max_step": st.sampled_from([1e-3, 0.1])})

@@ -1,7 +1,7 @@
 /* A crane in C: what its hosts ask of it, and what both cranes share. The twin of crane.py and
    trolley.py in chaincrane/plant.
 
-   A crane lives in memory of the caller's, ``memory(elements)`` bytes, and allocates nothing; its
+   A crane lives in memory of the caller's, ``memory(settings)`` bytes, and allocates nothing; its
    whole state is one flat array of doubles, which begins with a SharedState. Each crane's file
    defines one CRANE. */
 
@@ -13,13 +13,13 @@
 #include "chain.h"
 
 typedef struct {
-    size_t (*memory)(int elements);
+    size_t (*memory)(const Settings *settings);
     /* Make a crane at its initial state; the caller has checked the settings. */
     void (*create)(void *memory, const Settings *settings);
     /* Advance by h seconds under a held command: DONE, or else the state is as it was. */
     Outcome (*step)(void *memory, double h, const Command *command, Failure *failure);
     void (*outputs)(const void *memory, Outputs *outputs);
-    size_t (*state_count)(int elements);
+    size_t (*state_count)(const Settings *settings); /* doubles */
     double *(*state)(void *memory);
 } CraneModel;
 

@@ -67,7 +67,8 @@ static fmi2Status refuse(const Instance *c, const char *message) {
 /* ---- the model ---- */
 
 static size_t state_count(const Instance *c) {
-    return c->memory ? CRANE.state_count((int)c->values.number[VR_CHAIN_ELEMENTS]) : 0;
+    Settings settings = settings_of(&c->values);
+    return c->memory ? CRANE.state_count(&settings) : 0;
 }
 
 static void drop_model(Instance *c) {
@@ -83,12 +84,12 @@ static int build(Instance *c, char message[MESSAGE_SIZE]) {
     drop_model(c);
     if (bad_parameter(&c->values, message)) return 0;
     Settings chosen = settings_of(&c->values);
-    int elements = (int)chosen.chain_elements;
-    c->memory = malloc(CRANE.memory(elements));
-    c->before = malloc(CRANE.state_count(elements) * sizeof(double));
+    c->memory = malloc(CRANE.memory(&chosen));
+    c->before = malloc(CRANE.state_count(&chosen) * sizeof(double));
     if (!c->memory || !c->before) {
         drop_model(c);
-        snprintf(message, MESSAGE_SIZE, "no memory for chain.elements = %d", elements);
+        snprintf(message, MESSAGE_SIZE, "no memory for chain.elements = %.0f",
+                 chosen.chain_elements);
         return 0;
     }
     CRANE.create(c->memory, &chosen);

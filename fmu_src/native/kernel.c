@@ -9,17 +9,17 @@
 #endif
 
 EXPORT const char *crane_layout(void);
-EXPORT size_t crane_memory(int elements);
+EXPORT size_t crane_memory(const Settings *settings);
 EXPORT void crane_create(void *memory, const Settings *settings);
 EXPORT int crane_step(void *memory, double h, const Command *command, Failure *failure);
 EXPORT void crane_outputs(const void *memory, Outputs *outputs);
-EXPORT size_t crane_state_count(int elements);
+EXPORT size_t crane_state_count(const Settings *settings);
 EXPORT double *crane_state(void *memory);
 
 /* Of what the two hand each other, for kernel.py to compare with its own. */
 const char *crane_layout(void) { return LAYOUT; }
 
-size_t crane_memory(int elements) { return CRANE.memory(elements); }
+size_t crane_memory(const Settings *settings) { return CRANE.memory(settings); }
 
 void crane_create(void *memory, const Settings *settings) { CRANE.create(memory, settings); }
 
@@ -29,6 +29,6 @@ int crane_step(void *memory, double h, const Command *command, Failure *failure)
 
 void crane_outputs(const void *memory, Outputs *outputs) { CRANE.outputs(memory, outputs); }
 
-size_t crane_state_count(int elements) { return CRANE.state_count(elements); }
+size_t crane_state_count(const Settings *settings) { return CRANE.state_count(settings); }
 
 double *crane_state(void *memory) { return CRANE.state(memory); }

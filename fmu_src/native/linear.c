@@ -339,22 +339,25 @@ static void outputs(const void *memory, Outputs *o) {
     shared_outputs(shared, &posture, energy(c, *motion, shared->trolley_v), o);
     o->trolley_fx = c->head->trolley_fx;
     o->chain_slack_time = 0.0;
+    o->error_payload = o->error_tension_top = o->error_trolley_fx = 0.0;
+    o->error_predictable = 1.0;
     o->chain_tension_top = hanging_tension(&c->chain, 0);
     o->chain_tension_min = hanging_tension(&c->chain, n - 1);
 }
 
 /* ---- memory ---- */
 
-static size_t state_count(int elements) {
-    return sizeof(LinearState) / sizeof(double) + 3 * (size_t)elements;
+static size_t state_count(const Settings *settings) {
+    return sizeof(LinearState) / sizeof(double) + 3 * (size_t)settings->chain_elements;
 }
 
 enum { ARRAYS = 16 + POINTS }; /* of n doubles, besides the state */
 
 static size_t head_size(void) { return (sizeof(LinearCrane) + 15) / 16 * 16; }
 
-static size_t memory_size(int elements) {
-    return head_size() + (ARRAYS * (size_t)elements + state_count(elements)) * sizeof(double);
+static size_t memory_size(const Settings *settings) {
+    size_t arrays = ARRAYS * (size_t)settings->chain_elements;
+    return head_size() + (arrays + state_count(settings)) * sizeof(double);
 }
 
 /* Depths of the rest position, which the string keeps. */
@@ -374,7 +377,7 @@ static void create(void *memory, const Settings *settings) {
     static const Command idle = {0.0};
     LinearCrane *c = memory;
     int n = (int)settings->chain_elements;
-    memset(memory, 0, memory_size(n));
+    memset(memory, 0, memory_size(settings));
     discretise(&c->chain, settings);
     double *next = (double *)((char *)memory + head_size());
     double **arrays[ARRAYS - POINTS] = {&c->squares, &c->push,    &c->node1,      &c->payload,

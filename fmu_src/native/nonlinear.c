@@ -20,7 +20,8 @@ typedef struct {
 } State;
 
 typedef struct {
-    State state, trial; /* committed, and during a communication step */
+    State state, trial;               /* committed, and during a communication step */
+    State companion, trial_companion; /* a second solution, steps twice as long; head NULL: none */
     Workspace work;
 } NonlinearCrane;
 
@@ -127,17 +128,16 @@ static Outcome check_energy(const Chain *c, const NonlinearState *s, double ledg
     return DONE;
 }
 
-/* One step of the scheme; the trial state moves on if its energy balance is good. */
-static Outcome attempt(NonlinearCrane *crane, const Load *load, double h, Failure *failure) {
-    Workspace *work = &crane->work;
+/* One step of the scheme; the state moves on if its energy balance is good. */
+static Outcome attempt(Workspace *work, State *s, const Load *load, double h, Failure *failure) {
     const Chain *c = &work->chain;
-    Motion *motion = &crane->trial.motion;
+    Motion *motion = &s->motion;
     const Motion *end = &work->end;
-    NonlinearState *head = crane->trial.head;
+    NonlinearState *head = s->head;
     size_t nodes = (size_t)c->n * sizeof(Vector);
     StepResult result = {0};
     if (head->loaded != 0.0 && jumps(&head->last_command, &load->command))
-        forget_load(c, &crane->trial); /* accelerations start anew */
+        forget_load(c, s); /* accelerations start anew */
     motion->last_h = head->last_h;
     Outcome outcome = scheme_of(c)->step(work, motion, load, h, &result);
     head->shared.iterations += result.iterations;
@@ -174,19 +174,65 @@ static Outcome attempt(NonlinearCrane *crane, const Load *load, double h, Failur
 
 /* One internal step; where it fails it is halved, at most MAX_HALVINGS times over. ``v``: the
    trolley's velocity at the communication step's start. */
-static Outcome internal_step(NonlinearCrane *crane, double v, const Command *command,
+static Outcome internal_step(Workspace *work, State *s, double v, const Command *command,
                              double elapsed, double h, int halvings, Failure *failure) {
     Load load = {v + elapsed * command->trolley_a_cmd, *command};
-    Outcome outcome = attempt(crane, &load, h, failure);
+    Outcome outcome = attempt(work, s, &load, h, failure);
     if (outcome == DONE) return DONE;
     if (halvings == MAX_HALVINGS) {
-        failure->time = crane->trial.head->shared.time + elapsed;
+        failure->time = s->head->shared.time + elapsed;
         return outcome;
     }
     h *= 0.5;
-    outcome = internal_step(crane, v, command, elapsed, h, halvings + 1, failure);
+    outcome = internal_step(work, s, v, command, elapsed, h, halvings + 1, failure);
     if (outcome != DONE) return outcome;
-    return internal_step(crane, v, command, elapsed + h, h, halvings + 1, failure);
+    return internal_step(work, s, v, command, elapsed + h, h, halvings + 1, failure);
+}
+
+/* ---- companion.py ---- */
+
+static int is_predictable(const Chain *c, const NonlinearState *s) {
+    return s->error_payload <= UNPREDICTABLE * c->settings.chain_length;
+}
+
+/* Two steps and one twice as long, and how far apart they end; forces are the steps' means. */
+static Outcome compared_step(NonlinearCrane *crane, double v, const Command *command,
+                             double elapsed, double h, Failure *failure) {
+    Workspace *work = &crane->work;
+    State *fine = &crane->trial, *other = &crane->trial_companion;
+    NonlinearState *head = fine->head;
+    int payload = work->chain.n - 1;
+    Outcome outcome = internal_step(work, fine, v, command, elapsed, h, 0, failure);
+    if (outcome != DONE) return outcome;
+    double tension = fine->motion.tension[0], force = head->trolley_fx;
+    outcome = internal_step(work, fine, v, command, elapsed + h, h, 0, failure);
+    if (outcome != DONE) return outcome;
+    outcome = internal_step(work, other, v, command, elapsed, 2.0 * h, 0, failure);
+    if (outcome != DONE) return outcome;
+    Vector gap = minus(fine->motion.r[payload], other->motion.r[payload]);
+    tension = 0.5 * (tension + fine->motion.tension[0]);
+    force = 0.5 * (force + head->trolley_fx);
+    int slack = head->slack_time > 0.0 || other->head->slack_time > 0.0;
+    double share = slack ? SLACK_SHARE : TAUT_SHARE;
+    head->error_payload = larger(head->error_payload, share * norm(gap));
+    head->error_tension_top =
+        larger(head->error_tension_top, share * fabs(tension - other->motion.tension[0]));
+    head->error_trolley_fx =
+        larger(head->error_trolley_fx, share * fabs(force - other->head->trolley_fx));
+    return DONE;
+}
+
+/* The companion's shared numbers are those of the solution beside it, but for its ledger. */
+static void accompany(NonlinearState *companion, const NonlinearState *fine) {
+    NonlinearState own = *companion;
+    companion->shared = fine->shared;
+    companion->shared.ledger_start = own.shared.ledger_start;
+    companion->shared.ledger_trolley = own.shared.ledger_trolley;
+    companion->shared.ledger_payload = own.shared.ledger_payload;
+    companion->shared.ledger_dissipated = own.shared.ledger_dissipated;
+    companion->error_payload = fine->error_payload;
+    companion->error_tension_top = fine->error_tension_top;
+    companion->error_trolley_fx = fine->error_trolley_fx;
 }
 
 /* ---- memory ---- */
@@ -203,8 +249,17 @@ static State state_at(double *memory, int n) {
     return s;
 }
 
-static size_t state_count(int elements) {
-    return sizeof(NonlinearState) / sizeof(double) + 8 * (size_t)elements;
+/* Doubles of one solution. */
+static size_t solution_count(const Settings *settings) {
+    return sizeof(NonlinearState) / sizeof(double) + 8 * (size_t)settings->chain_elements;
+}
+
+static int has_companion(const Settings *settings) {
+    return settings->solver_error_estimate == SOLVER_ERROR_ESTIMATE_COMPANION;
+}
+
+static size_t state_count(const Settings *settings) {
+    return (has_companion(settings) ? 2 : 1) * solution_count(settings);
 }
 
 static size_t rounded(size_t bytes) { return (bytes + 15) / 16 * 16; }
@@ -217,9 +272,10 @@ static void *take(char *memory, size_t *used, size_t bytes) {
 }
 
 /* Lay a crane out in ``memory``, or count only where it is NULL; bytes. */
-static size_t lay_out(NonlinearCrane *crane, char *memory, int elements) {
+static size_t lay_out(NonlinearCrane *crane, char *memory, const Settings *settings) {
+    int elements = (int)settings->chain_elements;
     size_t used = rounded(sizeof(NonlinearCrane)), n = (size_t)elements;
-    size_t state = state_count(elements) * sizeof(double);
+    size_t state = state_count(settings) * sizeof(double);
     double *committed = take(memory, &used, state), *trial = take(memory, &used, state);
     Vector *vectors = take(memory, &used, 8 * n * sizeof(Vector));
     double *numbers = take(memory, &used, 4 * n * sizeof(double));
@@ -228,6 +284,10 @@ static size_t lay_out(NonlinearCrane *crane, char *memory, int elements) {
         Workspace *work = &crane->work;
         crane->state = state_at(committed, elements);
         crane->trial = state_at(trial, elements);
+        if (has_companion(settings)) {
+            crane->companion = state_at(committed + solution_count(settings), elements);
+            crane->trial_companion = state_at(trial + solution_count(settings), elements);
+        }
         work->end = (Motion){.r = vectors,
                              .w = vectors + n,
                              .a = vectors + 2 * n,
@@ -245,7 +305,7 @@ static size_t lay_out(NonlinearCrane *crane, char *memory, int elements) {
     return used;
 }
 
-static size_t memory_size(int elements) { return lay_out(NULL, NULL, elements); }
+static size_t memory_size(const Settings *settings) { return lay_out(NULL, NULL, settings); }
 
 static double *state(void *memory) { return (double *)((NonlinearCrane *)memory)->state.head; }
 
@@ -255,8 +315,8 @@ static void create(void *memory, const Settings *settings) {
     NonlinearCrane *crane = memory;
     Chain *c = &crane->work.chain;
     int n = (int)settings->chain_elements;
-    memset(memory, 0, memory_size(n));
-    lay_out(crane, memory, n);
+    memset(memory, 0, memory_size(settings));
+    lay_out(crane, memory, settings);
     discretise(c, settings);
     for (int i = 0; i < n; i++) crane->work.end.a[i] = (Vector){NAN, NAN};
     straight_chain(c, 0.0, crane->work.end.r);
@@ -272,26 +332,50 @@ static void create(void *memory, const Settings *settings) {
     forget_load(c, s);
     double top = norm(motion->r[0]);
     s->head->trolley_fx = 0.0 - motion->tension[0] * motion->r[0].x / top; /* no -0 */
+    if (has_companion(settings))
+        memcpy(crane->companion.head, s->head, solution_count(settings) * sizeof(double));
+}
+
+/* As many internal steps as it takes, with a companion or without. */
+static Outcome run(NonlinearCrane *crane, double h, double v, const Command *command,
+                   Failure *failure) {
+    Workspace *work = &crane->work;
+    double count = equal_parts(h, work->chain.settings.solver_max_step);
+    int compares = crane->companion.head != NULL;
+    if (compares) count = ceil(0.5 * count);
+    for (double i = 0.0; i < count; i += 1.0) {
+        double part = compares ? h / (2.0 * count) : h / count;
+        Outcome outcome = compares ? compared_step(crane, v, command, 2.0 * i * part, part, failure)
+                                   : internal_step(work, &crane->trial, v, command, i * h / count,
+                                                   part, 0, failure);
+        if (outcome != DONE) return outcome;
+    }
+    return DONE;
 }
 
 static Outcome step(void *memory, double h, const Command *command, Failure *failure) {
     NonlinearCrane *crane = memory;
     const Settings *settings = &crane->work.chain.settings;
-    State *s = &crane->trial;
-    SharedState *shared = &s->head->shared;
-    size_t bytes = state_count(crane->work.chain.n) * sizeof(double);
+    NonlinearState *head = crane->trial.head, *other = crane->trial_companion.head;
+    SharedState *shared = &head->shared;
+    size_t bytes = state_count(settings) * sizeof(double);
     if (!is_allowed(&crane->state.head->shared, settings, h, command)) return BAD_VALUE;
-    memcpy(s->head, crane->state.head, bytes);
-    double v = commanded(shared, command), count = equal_parts(h, settings->solver_max_step);
-    jump(&crane->work, s, command, v);
+    memcpy(head, crane->state.head, bytes);
+    double v = commanded(shared, command);
+    jump(&crane->work, &crane->trial, command, v);
+    if (other) jump(&crane->work, &crane->trial_companion, command, v);
     shared->steps = shared->iterations = 0.0;
-    for (double i = 0.0; i < count; i += 1.0) {
-        Outcome outcome = internal_step(crane, v, command, i * h / count, h / count, 0, failure);
-        if (outcome != DONE) return outcome;
+    if (other) other->shared.steps = other->shared.iterations = 0.0;
+    Outcome outcome = run(crane, h, v, command, failure);
+    if (outcome != DONE) return outcome;
+    if (other) {
+        shared->steps += other->shared.steps;
+        shared->iterations += other->shared.iterations;
     }
     shared->time += h;
     move_trolley(shared, h, command);
-    memcpy(crane->state.head, s->head, bytes);
+    if (other) accompany(other, head);
+    memcpy(crane->state.head, head, bytes);
     return DONE;
 }
 
@@ -310,6 +394,10 @@ static void outputs(const void *memory, Outputs *o) {
     shared_outputs(&head->shared, &posture, head->energy, o);
     o->trolley_fx = head->trolley_fx;
     o->chain_slack_time = head->slack_time;
+    o->error_payload = head->error_payload;
+    o->error_tension_top = head->error_tension_top;
+    o->error_trolley_fx = head->error_trolley_fx;
+    o->error_predictable = is_predictable(c, head);
     o->chain_tension_top = o->chain_tension_min = motion->tension[0];
     for (int e = 1; e < c->n; e++)
         if (motion->tension[e] < o->chain_tension_min) o->chain_tension_min = motion->tension[e];

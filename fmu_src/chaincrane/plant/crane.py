@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from math import atan2
 
 import numpy as np
@@ -26,6 +26,15 @@ class Posture:
     node1: Array  # m, (2,), the chain's first node below the trolley
     payload: Array  # m, (2,)
     payload_w: Array  # m/s, (2,)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a model keeps of a solution, as a saved state has it."""
+
+    numbers: dict[str, float]  # its own, by the names of the state's table
+    arrays: Array
+    ledger: Ledger
 
 
 class CraneModel(ABC):
@@ -88,16 +97,20 @@ class CraneModel(ABC):
         """Names of the numbers that the state begins with: a table of interface.py."""
 
     @abstractmethod
-    def _save(self) -> tuple[dict[str, float], Array]:
-        """The model's own state: numbers by name, and one vector of arrays."""
+    def _save(self) -> list[Solution]:
+        """The model's own state: its solution, and one that it carries along, if it does."""
 
     @abstractmethod
-    def _load(self, numbers: dict[str, float], arrays: Array, ledger: Ledger) -> None:
-        """Restore what :meth:`_save` gave, and the energy ledger."""
+    def _load(self, solutions: list[Solution]) -> None:
+        """Restore what :meth:`_save` gave."""
 
     def save(self) -> bytes:
         """The whole state, bit for bit; the parameters are not in it."""
-        trolley, ledger, effort = self.trolley, self.ledger, self.effort
+        vectors = [self._vector(solution) for solution in self._save()]
+        return np.concatenate(vectors).astype("<f8").tobytes()
+
+    def _vector(self, solution: Solution) -> Array:
+        trolley, effort = self.trolley, self.effort
         numbers = {
             "time": self.time,
             "trolley_x": trolley.x,
@@ -105,17 +118,13 @@ class CraneModel(ABC):
             "trolley_gained": trolley.gained,
             "steps": float(effort.steps),
             "iterations": float(effort.iterations),
-            "ledger_start": ledger.start,
-            "ledger_trolley": ledger.trolley,
-            "ledger_payload": ledger.payload,
-            "ledger_dissipated": ledger.dissipated,
             "trolley_impulse": self.impulse,
+            **{f"ledger_{name}": value for name, value in asdict(solution.ledger).items()},
+            **solution.numbers,
         }
-        own, arrays = self._save()
-        numbers |= own
         ordered = [numbers.pop(name) for name in self._state_names]
         assert not numbers, f"not in the table of the state: {sorted(numbers)}"
-        return np.concatenate((ordered, arrays)).astype("<f8").tobytes()
+        return np.concatenate((ordered, solution.arrays))
 
     def load(self, state: bytes) -> None:
         """Restore what :meth:`save` gave, in a crane with the same parameters.
@@ -124,18 +133,23 @@ class CraneModel(ABC):
         """
         if len(state) != len(self.save()):
             raise BadState("the saved state is of a crane with another number of elements")
-        vector = np.frombuffer(state, dtype="<f8").astype(float)
+        vectors = np.split(np.frombuffer(state, dtype="<f8").astype(float), len(self._save()))
         names = self._state_names
-        numbers = dict(zip(names, vector[: len(names)].tolist(), strict=True))
+        numbers = dict(zip(names, vectors[0][: len(names)].tolist(), strict=True))
         self.time = numbers["time"]
         self.trolley = Trolley(
             numbers["trolley_x"], numbers["trolley_v"], numbers["trolley_gained"]
         )
         self.effort = Effort(int(numbers["steps"]), int(numbers["iterations"]))
         self.impulse = numbers["trolley_impulse"]
-        ledger = Ledger(**{f: numbers[f"ledger_{f}"] for f in Ledger.__dataclass_fields__})
+        self._load([self._solution(vector) for vector in vectors])
+
+    def _solution(self, vector: Array) -> Solution:
+        names = self._state_names
+        numbers = dict(zip(names, vector[: len(names)].tolist(), strict=True))
+        ledger = Ledger(**{f.name: numbers[f"ledger_{f.name}"] for f in fields(Ledger)})
         own = {name: value for name, value in numbers.items() if name not in SHARED_STATE}
-        self._load(own, vector[len(names) :], ledger)
+        return Solution(own, vector[len(names) :], ledger)
 
     @abstractmethod
     def _posture(self) -> Posture:

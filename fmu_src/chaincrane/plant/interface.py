@@ -141,6 +141,19 @@ OUTPUTS = (
         "energy + dissipated - work of trolley and payload force, since the start; ideally 0. It"
         " does not see the time error",
     ),
+    output(
+        "error.payload",
+        "m",
+        "estimated time error of the payload's place, the largest since the start, if"
+        " solver.error_estimate is on; linear: 0, it is exact",
+    ),
+    output("error.tension_top", "N", "the same of chain.tension_top"),
+    output("error.trolley_fx", "N", "the same of trolley.fx"),
+    count(
+        "error.predictable",
+        "0 since error.payload has exceeded a hundredth of the chain's length: the motion is then"
+        " one that no step of this size predicts; else 1",
+    ),
     count("solver.steps", "internal steps of the last communication step"),
     count("solver.iterations", "iterations of the last communication step"),
 )
@@ -178,5 +191,8 @@ NONLINEAR_STATE = {
     "scale": "J, what errors of energy are measured against",
     "trolley_fx": "N",
     "slack_time": "s, since the start",
+    "error_payload": "m, estimated time error, the largest since the start",
+    "error_tension_top": "N, the same",
+    "error_trolley_fx": "N, the same",
 }
 LINEAR_STATE = {**SHARED_STATE, "trolley_fx": "N"}

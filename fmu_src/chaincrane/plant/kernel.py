@@ -104,7 +104,7 @@ def load_library(path: str | None = None) -> Any:
     if found != layout():
         raise KernelMissing(f"{path} has another interface than this package: compile it anew")
     library.crane_memory.restype = ctypes.c_size_t
-    library.crane_memory.argtypes = [ctypes.c_int]
+    library.crane_memory.argtypes = [pointer]
     library.crane_create.restype = None
     library.crane_create.argtypes = [pointer, pointer]
     library.crane_step.restype = ctypes.c_int
@@ -112,7 +112,7 @@ def load_library(path: str | None = None) -> Any:
     library.crane_outputs.restype = None
     library.crane_outputs.argtypes = [pointer, pointer]
     library.crane_state_count.restype = ctypes.c_size_t
-    library.crane_state_count.argtypes = [ctypes.c_int]
+    library.crane_state_count.argtypes = [pointer]
     library.crane_state.restype = ctypes.POINTER(number)
     library.crane_state.argtypes = [pointer]
     return library
@@ -133,11 +133,11 @@ class NativeCrane:
         self.numerics = numerics or Numerics()
         check(self.crane, self.initial, self.numerics)
         c = library or load_library()
-        elements = self.numerics.elements
-        self._memory = (ctypes.c_double * (c.crane_memory(elements) // 8))()
+        settings = ctypes.byref(self._settings())
+        self._memory = (ctypes.c_double * (c.crane_memory(settings) // 8))()
         self._address = ctypes.addressof(self._memory)
-        c.crane_create(self._address, ctypes.byref(self._settings()))
-        self._count = c.crane_state_count(elements)
+        c.crane_create(self._address, settings)
+        self._count = c.crane_state_count(settings)
         self._state = c.crane_state(self._address)
         self._command, self._failure = _Command(), _Failure()
         self._command_address = ctypes.addressof(self._command)

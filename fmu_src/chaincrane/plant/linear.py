@@ -24,7 +24,7 @@ from .chain import (
     payload_work,
 )
 from .command import IDLE, Command
-from .crane import CraneModel, Posture
+from .crane import CraneModel, Posture, Solution
 from .interface import LINEAR_STATE, MATERIAL_POINTS
 from .ledger import Effort, Ledger
 from .parameters import Crane, Initial, Numerics
@@ -319,14 +319,15 @@ class LinearCrane(CraneModel):
     def _state_names(self) -> Collection[str]:
         return LINEAR_STATE
 
-    def _save(self) -> tuple[dict[str, float], Array]:
+    def _save(self) -> list[Solution]:
         motion = self._motion
         arrays = np.concatenate((motion.eta, motion.rate, self._rate_of_rate))
-        return {"trolley_fx": self._trolley_fx}, arrays
+        return [Solution({"trolley_fx": self._trolley_fx}, arrays, self._ledger)]
 
-    def _load(self, numbers: dict[str, float], arrays: Array, ledger: Ledger) -> None:
-        self._ledger, self._trolley_fx = ledger, numbers["trolley_fx"]
-        eta, rate, self._rate_of_rate = np.split(arrays, 3)
+    def _load(self, solutions: list[Solution]) -> None:
+        (solution,) = solutions
+        self._ledger, self._trolley_fx = solution.ledger, solution.numbers["trolley_fx"]
+        eta, rate, self._rate_of_rate = np.split(solution.arrays, 3)
         self._motion = ModalMotion(eta, rate)
 
     def _posture(self) -> Posture:
@@ -346,4 +347,8 @@ class LinearCrane(CraneModel):
             "chain.tension_top": float(self._tension[0]),
             "chain.tension_min": float(self._tension[-1]),
             "chain.slack_time": 0.0,
+            "error.payload": 0.0,
+            "error.tension_top": 0.0,
+            "error.trolley_fx": 0.0,
+            "error.predictable": 1,
         }

@@ -18,13 +18,14 @@ from .chain import (
     straight_chain,
 )
 from .command import Command
-from .crane import CraneModel, Posture
+from .companion import TimeError, apart
+from .crane import CraneModel, Posture, Solution
 from .energy_momentum import EnergyMomentum
 from .interface import LAST_COMMAND, NONLINEAR_STATE
 from .jump import settled
 from .ledger import Effort, Ledger
 from .newmark import Newmark
-from .parameters import Crane, Initial, Numerics
+from .parameters import ERROR_ESTIMATES, Crane, Initial, Numerics
 from .scheme import Load, Motion, Scheme
 from .trolley import Trolley
 
@@ -75,6 +76,7 @@ class NonlinearCrane(CraneModel):
         tension = axial_force(self.crane.chain.EA, chain.L0, length)
         motion = Motion(r, np.zeros_like(r), tension)
         energy = self._energy(motion, self.trolley.v)
+        self._error = TimeError()
         self._state = NonlinearState(
             motion=motion,
             last=None,
@@ -83,6 +85,8 @@ class NonlinearCrane(CraneModel):
             scale=potential_energy(chain, r),
             trolley_fx=0.0 - float(tension[0] * d[0, 0] / length[0]),
         )
+        with_companion = self.numerics.error_estimate != ERROR_ESTIMATES[0]
+        self._companion: NonlinearState | None = self._state if with_companion else None
 
     @property
     def energy(self) -> float:
@@ -148,15 +152,44 @@ class NonlinearCrane(CraneModel):
 
     def _advance(self, h: float, start: Trolley, command: Command) -> None:
         state, impulse = self._jump(self._state, command, self.trolley.v, start.v)
+        companion, error, effort = self._companion, self._error, Effort()
         count = self.internal_steps(h)
-        effort = Effort()
-        for i in range(count):
-            state, effort = self._internal_step(
-                state, effort, start, command, i * h / count, h / count
-            )
-        self._state = state
+        if companion is None:
+            for i in range(count):
+                state, effort = self._internal_step(
+                    state, effort, start, command, i * h / count, h / count
+                )
+        else:
+            companion, _ = self._jump(companion, command, self.trolley.v, start.v)
+            pairs = (count + 1) // 2
+            part = h / (2 * pairs)
+            for i in range(pairs):
+                elapsed = 2 * i * part
+                first, effort = self._internal_step(state, effort, start, command, elapsed, part)
+                state, effort = self._internal_step(
+                    first, effort, start, command, elapsed + part, part
+                )
+                companion, effort = self._internal_step(
+                    companion, effort, start, command, elapsed, 2.0 * part
+                )
+                error = self._seen(error, first, state, companion)
+        self._state, self._companion, self._error = state, companion, error
         self.effort = effort
         self.impulse = impulse
+
+    @staticmethod
+    def _seen(
+        error: TimeError, first: NonlinearState, second: NonlinearState, longer: NonlinearState
+    ) -> TimeError:
+        """Time errors after two steps and one twice as long; forces are the steps' means."""
+        tension = 0.5 * float(first.motion.tension[0] + second.motion.tension[0])
+        force = 0.5 * (first.trolley_fx + second.trolley_fx)
+        return error.seen(
+            apart(second.motion, longer.motion),
+            abs(tension - float(longer.motion.tension[0])),
+            abs(force - longer.trolley_fx),
+            slack=second.slack_time > 0.0 or longer.slack_time > 0.0,
+        )
 
     def _internal_step(
         self,
@@ -237,8 +270,12 @@ class NonlinearCrane(CraneModel):
     def _state_names(self) -> Collection[str]:
         return NONLINEAR_STATE
 
-    def _save(self) -> tuple[dict[str, float], Array]:
-        state, motion = self._state, self._state.motion
+    def _save(self) -> list[Solution]:
+        states = [self._state] if self._companion is None else [self._state, self._companion]
+        return [self._saved(state) for state in states]
+
+    def _saved(self, state: NonlinearState) -> Solution:
+        motion = state.motion
         command = Command() if state.last is None else state.last
         numbers = {
             "loaded": float(state.last is not None),
@@ -248,20 +285,28 @@ class NonlinearCrane(CraneModel):
             "scale": state.scale,
             "trolley_fx": state.trolley_fx,
             "slack_time": state.slack_time,
+            **{f"error_{name}": value for name, value in asdict(self._error).items()},
         }
         a = np.full_like(motion.r, np.nan) if motion.a is None else motion.a
         none = np.zeros_like(motion.tension)
         stretched = none if motion.stretched is None else motion.stretched
         nodal = (motion.r.ravel(), motion.w.ravel(), a.ravel())
-        return numbers, np.concatenate((*nodal, motion.tension, stretched))
+        arrays = np.concatenate((*nodal, motion.tension, stretched))
+        return Solution(numbers, arrays, state.ledger)
 
-    def _load(self, numbers: dict[str, float], arrays: Array, ledger: Ledger) -> None:
-        n = self.chain.elements
-        nodal, tension, stretched = np.split(arrays, (6 * n, 7 * n))
+    def _load(self, solutions: list[Solution]) -> None:
+        self._state, *companions = map(self._loaded, solutions)
+        self._companion = companions[0] if companions else None
+        numbers = solutions[0].numbers
+        self._error = TimeError(*(numbers[f"error_{f.name}"] for f in fields(TimeError)))
+
+    def _loaded(self, solution: Solution) -> NonlinearState:
+        n, numbers = self.chain.elements, solution.numbers
+        nodal, tension, stretched = np.split(solution.arrays, (6 * n, 7 * n))
         r, w, a = nodal.reshape(3, n, 2)
         last_h = numbers["last_h"]
         command = {f.name: numbers[LAST_COMMAND + f.name] for f in fields(Command)}
-        self._state = NonlinearState(
+        return NonlinearState(
             motion=Motion(
                 r,
                 w,
@@ -271,7 +316,7 @@ class NonlinearCrane(CraneModel):
                 last_h=last_h,
             ),
             last=Command(**command) if numbers["loaded"] else None,
-            ledger=ledger,
+            ledger=solution.ledger,
             energy=numbers["energy"],
             scale=numbers["scale"],
             trolley_fx=numbers["trolley_fx"],
@@ -290,4 +335,6 @@ class NonlinearCrane(CraneModel):
             "chain.tension_top": float(state.motion.tension[0]),
             "chain.tension_min": float(state.motion.tension.min()),
             "chain.slack_time": state.slack_time,
+            **{f"error.{name}": value for name, value in asdict(self._error).items()},
+            "error.predictable": int(self._error.predictable(self.crane.chain.length)),
         }

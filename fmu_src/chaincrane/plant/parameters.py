@@ -14,6 +14,7 @@ from ..variables import ABOVE_ZERO, check_rows, choice, parameter, row_of, whole
 _MAX_ELEMENTS = 10_000
 SCHEMES = ("energy_momentum", "newmark")
 MASS_MATRICES = ("consistent", "averaged")
+ERROR_ESTIMATES = ("off", "companion")
 _QUARTER_TURN = 1.5707963267948963  # rad, just below pi/2
 LAST_DIGIT = 2e-16  # of the length: a position's last digit
 UNSTEADY = 1e-3  # of the weight: what that digit may move a tension by
@@ -123,6 +124,13 @@ class Numerics:
         MASS_MATRICES,
         "mass matrix of an element: consistent (the paper's) or averaged with the lumped one, the"
         " rotation of the whole kept exact: less error of the mesh, half or less with ten elements",
+    )
+    error_estimate: str = choice(
+        "solver.error_estimate",
+        ERROR_ESTIMATES[0],
+        ERROR_ESTIMATES,
+        "companion: a second solution with steps twice as long tells the time error, for half the"
+        " cost again or more; an even number of internal steps is taken then",
     )
 
 

@@ -1,0 +1,51 @@
+"""How far off in time: a second solution, whose steps are twice as long, is carried along.
+
+Where the motion is smooth and the scheme of second order, the finer solution is off by a third of
+the difference of the two (Richardson); after jumps and changes of load the order lies between two
+and one, so that it is a half, give or take; where the chain has been slack the order is one, and it
+is all of it. What is told is the largest so far. It sees the time error, and where the motion is
+one that a small change makes another one of; the mesh's error it does not see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+
+from .chain import Array
+from .scheme import Motion
+
+TAUT_SHARE = 0.5  # of the difference of the two solutions that the error is told to be
+SLACK_SHARE = 1.0  # the same, since the chain has been slack
+UNPREDICTABLE = 0.01  # of the chain's length: beyond this error the motion counts as unpredictable
+
+
+@dataclass(frozen=True)
+class TimeError:
+    """Estimated time errors, the largest since the start."""
+
+    payload: float = 0.0  # m
+    tension_top: float = 0.0  # N
+    trolley_fx: float = 0.0  # N
+
+    def seen(self, payload: float, tension_top: float, trolley_fx: float, slack: bool) -> TimeError:
+        """With the differences of the two solutions after one more step of the longer ones.
+
+        ``slack``: whether the chain has been slack since the start.
+        """
+        share = SLACK_SHARE if slack else TAUT_SHARE
+        return TimeError(
+            max(self.payload, share * payload),
+            max(self.tension_top, share * tension_top),
+            max(self.trolley_fx, share * trolley_fx),
+        )
+
+    def predictable(self, length: float) -> bool:
+        """Whether a motion of a chain of ``length`` m still counts as predictable."""
+        return self.payload <= UNPREDICTABLE * length
+
+
+def apart(a: Motion, b: Motion) -> float:
+    """Distance of two motions' payloads, m."""
+    gap: Array = a.r[-1] - b.r[-1]
+    return hypot(float(gap[0]), float(gap[1]))
