@@ -51,6 +51,9 @@ class Model(Protocol):
     def step(self, h: float, told: Any) -> None:
         """Advance by ``h`` s under the slave's ``inputs``; raises CraneError, state unchanged."""
 
+    def notice(self) -> str | None:
+        """What a user should be told of the model's state, once; None: nothing."""
+
     def output_values(self) -> list[Any]:
         """Outputs in the interface's order."""
 
@@ -100,6 +103,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         self._fault: str | None = None
         self._refusal: str | None = None
         self._last_error: str | None = None
+        self._noticed = False
 
     # --- FMI life cycle -----------------------------------------------------------------------
 
@@ -162,6 +166,10 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         self._model.step(step_size, told)
         self._time = current_time + step_size
         self._observed = False
+        notice = self._model.notice()
+        if notice is not None and not self._noticed:
+            self.log(f"at t = {self._time:.6g} s: {notice}", Fmi2Status.warning, "logStatusWarning")
+            self._noticed = True
 
     def _build(self) -> None:
         """Make the model from the parameters; a bad one becomes a fault."""

@@ -138,6 +138,7 @@ def test_fmu_is_the_model(fmus: Path, library: Any, model: str) -> None:
         "solver.max_step": 2e-3,
         "solver.scheme": "newmark",
         "chain.mass_matrix": "averaged",
+        "solver.error_estimate": "companion",
     }
     assert set(start) == {variable.name for variable in PARAMETERS}
     inputs = np.array(
@@ -153,7 +154,7 @@ def test_fmu_is_the_model(fmus: Path, library: Any, model: str) -> None:
             damping=Damping(0.1, 1e-5),
         ),
         Initial(0.3, 0.1),
-        Numerics(7, 2e-3, "newmark", "averaged"),
+        Numerics(7, 2e-3, "newmark", "averaged", "companion"),
     )
     for row in range(2):
         for name, value in crane.outputs().items():

@@ -19,6 +19,8 @@ typedef struct {
     /* Advance by h seconds under a held command: DONE, or else the state is as it was. */
     Outcome (*step)(void *memory, double h, const Command *command, Failure *failure);
     void (*outputs)(const void *memory, Outputs *outputs);
+    /* What a user should be told of the motion, once; NULL: nothing. */
+    const char *(*notice)(const void *memory);
     size_t (*state_count)(const Settings *settings); /* doubles */
     double *(*state)(void *memory);
 } CraneModel;

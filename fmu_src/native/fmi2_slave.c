@@ -40,7 +40,7 @@ typedef struct {
     Values values;
     void *memory;   /* the model's, or NULL: there is none */
     double *before; /* the model's state before a step in parts */
-    int observed;
+    int observed, noticed;
     Outputs seen;
     fmi2Status last_step;
 } Instance;
@@ -240,6 +240,7 @@ static void start_anew(Instance *c) {
     take_start_values(&c->values);
     c->phase = INSTANTIATED;
     c->time = 0.0;
+    c->noticed = 0;
     c->last_step = fmi2OK;
 }
 
@@ -530,6 +531,16 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component component,
 
 /* ---- steps ---- */
 
+/* Say, once, what the model has to tell of its motion. */
+static void give_notice(Instance *c) {
+    const char *notice = CRANE.notice(c->memory);
+    char message[MESSAGE_SIZE], t[NUMBER_SIZE];
+    if (!notice || c->noticed) return;
+    snprintf(message, sizeof message, "at t = %s s: %s", text_general(t, 6, c->time), notice);
+    say(c, fmi2Warning, LOG_STATUS_WARNING, message);
+    c->noticed = 1;
+}
+
 fmi2Status fmi2DoStep(fmi2Component component, fmi2Real currentCommunicationPoint,
                       fmi2Real communicationStepSize,
                       fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
@@ -561,6 +572,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real currentCommunicationPoin
     }
     c->time = at + h;
     c->observed = 0;
+    give_notice(c);
     return c->last_step = fmi2OK;
 }
 

@@ -13,6 +13,7 @@ EXPORT size_t crane_memory(const Settings *settings);
 EXPORT void crane_create(void *memory, const Settings *settings);
 EXPORT int crane_step(void *memory, double h, const Command *command, Failure *failure);
 EXPORT void crane_outputs(const void *memory, Outputs *outputs);
+EXPORT const char *crane_notice(const void *memory);
 EXPORT size_t crane_state_count(const Settings *settings);
 EXPORT double *crane_state(void *memory);
 
@@ -28,6 +29,8 @@ int crane_step(void *memory, double h, const Command *command, Failure *failure)
 }
 
 void crane_outputs(const void *memory, Outputs *outputs) { CRANE.outputs(memory, outputs); }
+
+const char *crane_notice(const void *memory) { return CRANE.notice(memory); }
 
 size_t crane_state_count(const Settings *settings) { return CRANE.state_count(settings); }
 

@@ -403,4 +403,9 @@ static void outputs(const void *memory, Outputs *o) {
         if (motion->tension[e] < o->chain_tension_min) o->chain_tension_min = motion->tension[e];
 }
 
-const CraneModel CRANE = {memory_size, create, step, outputs, state_count, state};
+static const char *notice(const void *memory) {
+    const NonlinearCrane *crane = memory;
+    return is_predictable(&crane->work.chain, crane->state.head) ? NULL : NOT_PREDICTABLE;
+}
+
+const CraneModel CRANE = {memory_size, create, step, outputs, notice, state_count, state};

@@ -325,6 +325,10 @@ class AntiSway:
         a = min(max(a, (-top - v) / h), (top - v) / h)
         return min(max(a, -limits.acceleration), limits.acceleration)
 
+    def notice(self) -> str | None:
+        """Nothing: what it does is told by its outputs."""
+        return None
+
     def output_values(self) -> list[float]:
         """All outputs in the interface's order, in SI units."""
         return list(self.outputs().values())

@@ -366,6 +366,10 @@ class CraneObserver:
         variances = np.einsum("ij,jk,ik->i", self._rows, covariance, self._rows)
         return [float(root) for root in np.sqrt(np.maximum(variances, 0.0))]
 
+    def notice(self) -> str | None:
+        """Nothing: what it does is told by its outputs."""
+        return None
+
     def output_values(self) -> list[float | int]:
         """All outputs in the interface's order, in SI units."""
         return list(self.outputs().values())

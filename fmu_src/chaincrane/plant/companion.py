@@ -17,7 +17,9 @@ from .scheme import Motion
 
 TAUT_SHARE = 0.5  # of the difference of the two solutions that the error is told to be
 SLACK_SHARE = 1.0  # the same, since the chain has been slack
-UNPREDICTABLE = 0.01  # of the chain's length: beyond this error the motion counts as unpredictable
+# Of the chain's length: a motion whose told error is larger counts as unpredictable. The true one
+# may be twice as large, a hundredth of the length.
+UNPREDICTABLE = 0.005
 
 
 @dataclass(frozen=True)

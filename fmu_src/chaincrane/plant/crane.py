@@ -159,6 +159,10 @@ class CraneModel(ABC):
     def _own_outputs(self) -> dict[str, float]:
         """Outputs that each model has in its own way, by their FMU names, in SI units."""
 
+    def notice(self) -> str | None:
+        """What a user should be told of the motion, once; None: nothing."""
+        return None
+
     def output_values(self) -> list[float]:
         """All outputs in the interface's order, in SI units."""
         return list(self.outputs().values())

@@ -151,8 +151,8 @@ OUTPUTS = (
     output("error.trolley_fx", "N", "the same of trolley.fx"),
     count(
         "error.predictable",
-        "0 since error.payload has exceeded a hundredth of the chain's length: the motion is then"
-        " one that no step of this size predicts; else 1",
+        "0 since error.payload has exceeded 0.005 of the chain's length, and may be off by twice"
+        " that: the motion is one that no step of this size predicts; else 1",
     ),
     count("solver.steps", "internal steps of the last communication step"),
     count("solver.iterations", "iterations of the last communication step"),
@@ -166,6 +166,12 @@ def settings(values: Mapping[str, Any]) -> tuple[Crane, Initial, Numerics]:
     """A crane's parameters from the FMU's parameter values, by name; the rest is the default."""
     return from_values(Crane, values), from_values(Initial, values), from_values(Numerics, values)
 
+
+# What is said, once, when error.predictable falls to 0.
+NOT_PREDICTABLE = (
+    "error.payload has exceeded 0.005 of chain.length: the motion is not predictable from here on,"
+    " a shorter solver.max_step gives another one"
+)
 
 # A state is one vector of doubles: these numbers first, by name, with their units; then arrays.
 SHARED_STATE = {

@@ -111,6 +111,8 @@ def load_library(path: str | None = None) -> Any:
     library.crane_step.argtypes = [pointer, number, pointer, pointer]
     library.crane_outputs.restype = None
     library.crane_outputs.argtypes = [pointer, pointer]
+    library.crane_notice.restype = ctypes.c_char_p
+    library.crane_notice.argtypes = [pointer]
     library.crane_state_count.restype = ctypes.c_size_t
     library.crane_state_count.argtypes = [pointer]
     library.crane_state.restype = ctypes.POINTER(number)
@@ -145,6 +147,7 @@ class NativeCrane:
         self._outputs = (ctypes.c_double * len(OUTPUTS))()
         self.start_time = 0.0  # s, the host's; only for messages
         self._c_step, self._c_outputs = c.crane_step, c.crane_outputs
+        self._c_notice = c.crane_notice
 
     def _settings(self) -> ctypes.Structure:
         """The parameters as C takes them, by name; of a String the place of its choice."""
@@ -213,6 +216,11 @@ class NativeCrane:
         """The numbers of the state that make a ``kind``, by its fields' names."""
         shared = self._shared()
         return {field.name: shared[f"{prefix}_{field.name}"] for field in fields(kind)}
+
+    def notice(self) -> str | None:
+        """What a user should be told of the motion, once; None: nothing."""
+        text: bytes | None = self._c_notice(self._address)
+        return None if text is None else text.decode()
 
     def output_values(self) -> list[float]:
         """All outputs in the interface's order, in SI units."""

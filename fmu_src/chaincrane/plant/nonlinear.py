@@ -21,7 +21,7 @@ from .command import Command
 from .companion import TimeError, apart
 from .crane import CraneModel, Posture, Solution
 from .energy_momentum import EnergyMomentum
-from .interface import LAST_COMMAND, NONLINEAR_STATE
+from .interface import LAST_COMMAND, NONLINEAR_STATE, NOT_PREDICTABLE
 from .jump import settled
 from .ledger import Effort, Ledger
 from .newmark import Newmark
@@ -327,6 +327,10 @@ class NonlinearCrane(CraneModel):
         r, w = self._state.motion.r, self._state.motion.w
         points = self._interpolation @ r
         return Posture(points, node1=r[0], payload=r[-1], payload_w=w[-1])
+
+    def notice(self) -> str | None:
+        """That the motion is not predictable, where it is not."""
+        return None if self._error.predictable(self.crane.chain.length) else NOT_PREDICTABLE
 
     def _own_outputs(self) -> dict[str, float]:
         state = self._state
