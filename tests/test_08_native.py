@@ -187,6 +187,28 @@ def _words(fmu: str, bad: list[list[Any]]) -> list[str]:
     return said
 
 
+def _noticed(fmu: str) -> list[str]:
+    from slave_host import LOG, Host
+
+    start: dict[str, Any] = {"payload.mass": 0.01, "chain.EA": 1e8, "chain.elements": 5}
+    start |= {"initial.speed": 0.0, "solver.max_step": 2e-3}
+    start |= {"solver.error_estimate": "companion"}
+    host = Host(fmu, initialise=False)
+    host.initialise(**{name.replace(".", "__"): value for name, value in start.items()})
+    host.set("trolley.v_cmd", 2.0)
+    host.run(100)
+    host.set("trolley.v_cmd", 0.0)
+    host.run(100)
+    return LOG
+
+
+def test_a_motion_that_is_not_predictable_is_said_once(fmus: Path, native_fmus: Path) -> None:
+    files = fmus / "crane_nl.fmu", native_fmus / "crane_nl_native.fmu"
+    theirs, ours = (in_fresh_process(_noticed, str(fmu)) for fmu in files)
+    assert len(ours) == 1 and ours == theirs
+    assert re.fullmatch(r"logStatusWarning: at t = .* s: .* the motion is not predictable.*", *ours)
+
+
 def test_it_refuses_in_the_same_words(fmus: Path, native_fmus: Path) -> None:
     bad = [
         ["chain.mass", -1.0],
