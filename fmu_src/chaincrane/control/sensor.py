@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, floor, log, pi, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -33,28 +34,30 @@ class Clock:
     )
 
 
+def _noise(sensor: str, unit: str) -> Any:
+    return parameter(f"{sensor}.noise", unit, 0.0, "standard deviation of each sample", minimum=0.0)
+
+
+def _bias(sensor: str, unit: str) -> Any:
+    return parameter(
+        f"{sensor}.bias", unit, 0.0, "what each sample is off by, unknown to the filter"
+    )
+
+
 @dataclass(frozen=True)
 class Camera:
     """What a camera's samples are off by."""
 
-    noise: float = parameter(
-        "camera.noise", "m", 0.0, "standard deviation of each sample", minimum=0.0
-    )
-    bias: float = parameter(
-        "camera.bias", "m", 0.0, "what each sample is off by, unknown to the filter"
-    )
+    noise: float = _noise("camera", "m")
+    bias: float = _bias("camera", "m")
 
 
 @dataclass(frozen=True)
 class Rope:
     """What a rope-angle sensor's samples are off by."""
 
-    noise: float = parameter(
-        "rope.noise", "rad", 0.0, "standard deviation of each sample", minimum=0.0
-    )
-    bias: float = parameter(
-        "rope.bias", "rad", 0.0, "what each sample is off by, unknown to the filter"
-    )
+    noise: float = _noise("rope", "rad")
+    bias: float = _bias("rope", "rad")
 
 
 @dataclass(frozen=True)
