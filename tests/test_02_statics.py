@@ -15,7 +15,7 @@ from chaincrane.plant.chain import (
 from chaincrane.plant.command import Command
 from chaincrane.plant.linear import LinearCrane
 from chaincrane.plant.nonlinear import NonlinearCrane
-from chaincrane.plant.parameters import Chain, Crane, Initial, Numerics, Payload
+from chaincrane.plant.parameters import Chain, Crane, Damping, Initial, Numerics, Payload
 
 SOFT = Crane(chain=Chain(EA=200.0))  # stretches by centimetres
 
@@ -95,3 +95,19 @@ def test_mirrored_motion_is_mirrored(scheme: str) -> None:
         assert ends[0][name] == -ends[1][name], name
     for name in ("payload.y", "chain.tension_top", "energy.total"):
         assert ends[0][name] == ends[1][name], name
+
+
+@pytest.mark.parametrize("model", [LinearCrane, NonlinearCrane])
+@pytest.mark.parametrize("angle", [0.3, -1.5, 3.0])
+def test_the_drives_force_before_the_first_step_is_that_of_the_release(
+    model: type, angle: float
+) -> None:
+    """What the drive exerts over the first microsecond, in air too; the crane at rest: none."""
+    crane = Crane(Chain(EA=1e4), damping=Damping(air=0.5))
+    sways = model(crane, Initial(speed=0.4, sway_angle=angle))
+    before = sways.outputs()["trolley.fx"]
+    sways.step(1e-6, Command(trolley_v_cmd=0.4))
+    assert abs(before) > 0.05
+    assert sways.outputs()["trolley.fx"] == pytest.approx(before, abs=1e-4 * abs(before))
+    rests = model(Crane(), Initial(speed=0.0))
+    assert rests.outputs()["trolley.fx"] == 0.0

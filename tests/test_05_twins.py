@@ -29,7 +29,7 @@ CHOSEN = {
     "damping.air": st.sampled_from([0.0, 0.1, 2.0]),
     "damping.chain": st.sampled_from([0.0, 1e-5, 1e-3]),
     "initial.speed": st.floats(-1.0, 1.0),
-    "initial.sway_angle": st.floats(-1.0, 1.0),
+    "initial.sway_angle": st.floats(-3.1, 3.1),
     "chain.elements": st.integers(1, 12),
     "chain.mass_matrix": st.sampled_from(MASS_MATRICES),
 }

@@ -394,7 +394,10 @@ static void create(void *memory, const Settings *settings) {
     hang(c);
     modes(c);
     c->head->shared.trolley_v = settings->initial_speed;
-    c->head->trolley_fx = drive_force(c, 0.0, &idle);
+    for (int i = 0; i < n; i++)
+        c->rate_of_rate[i] =
+            load_now(c, settings->initial_speed, &idle, i) - c->squares[i] * c->motion.eta[i];
+    c->head->trolley_fx = drive_force(c, settings->initial_speed, &idle);
     c->head->shared.ledger_start = energy(c, c->motion, settings->initial_speed);
 }
 

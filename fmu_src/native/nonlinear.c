@@ -311,6 +311,29 @@ static double *state(void *memory) { return (double *)((NonlinearCrane *)memory)
 
 /* ---- the crane ---- */
 
+/* Force of the drive in the instant of release, N: node 0's row of dynamic equilibrium. */
+static double released_force(Workspace *work, const State *s) {
+    static const Command idle = {0.0};
+    const Chain *c = &work->chain;
+    const Motion *motion = &s->motion;
+    int n = c->n, hangs = c->settings.initial_sway_angle == 0.0; /* in balance */
+    double v = s->head->shared.trolley_v;
+    Vector *a = work->unknown;
+    for (int i = 0; i < n; i++) {
+        Vector d = along(motion->r, i), weight = {0.0, i < n - 1 ? c->inner_weight : c->end_weight};
+        double pull = motion->tension[i] / norm(d);
+        a[i] = applied_force(c, &idle, v, i);
+        a[i] = minus(a[i], hangs ? weight : (Vector){pull * d.x, pull * d.y});
+        if (i && !hangs) {
+            a[i - 1].x += pull * d.x;
+            a[i - 1].y += pull * d.y;
+        }
+    }
+    mass_solve(c, work->l0, a);
+    double carried = carried_force(c, &idle, v, a[0].x, a[n - 1].x);
+    return carried - motion->tension[0] * motion->r[0].x / norm(motion->r[0]);
+}
+
 static void create(void *memory, const Settings *settings) {
     NonlinearCrane *crane = memory;
     Chain *c = &crane->work.chain;
@@ -330,8 +353,7 @@ static void create(void *memory, const Settings *settings) {
     s->head->shared.ledger_start = s->head->energy;
     s->head->scale = potential_energy(c, motion->r);
     forget_load(c, s);
-    double top = norm(motion->r[0]);
-    s->head->trolley_fx = 0.0 - motion->tension[0] * motion->r[0].x / top; /* no -0 */
+    s->head->trolley_fx = released_force(&crane->work, s);
     if (has_companion(settings))
         memcpy(crane->companion.head, s->head, solution_count(settings) * sizeof(double));
 }

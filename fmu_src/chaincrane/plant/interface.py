@@ -23,6 +23,7 @@ _SHAPE = ("chain.length", *_STRETCH)
 _INSIDE = (*_SHAPE, "chain.elements")  # of a point between the chain's ends
 _SWAY = ("initial.sway_angle",)
 _SPEED = ("initial.speed",)
+_DRAG = ("damping.air", *_SPEED)
 _ENERGY = ("chain.length", "chain.mass", "payload.mass", "gravity", *_SWAY, *_SPEED)
 _STRAIGHT = ("chain.length", *_SWAY)  # a string's displacement, which does not stretch
 
@@ -49,7 +50,8 @@ OUTPUTS = (
         "N",
         "horizontal force that the drive exerts on the chain, without the impulses of jumps;"
         " nonlinear: mean of the last internal step",
-        starts_from=_WEIGHT + _SWAY,
+        starts_from=(*_WEIGHT, "chain.mass_matrix", *_DRAG, *_SWAY),
+        starts_from_linear=(*_WEIGHT, "chain.mass_matrix", *_DRAG, *_SWAY),
     ),
     output(
         "trolley.impulse",

@@ -212,8 +212,9 @@ class LinearCrane(CraneModel):
         straight = mass_times(chain, np.outer(depth, [np.sin(self.initial.sway_angle), 0.0]))[:, 0]
         eta = self.modes.shapes.T @ straight
         self._motion = ModalMotion(eta, np.zeros_like(eta))
-        self._rate_of_rate = np.zeros_like(eta)
-        self._trolley_fx = self._drive_force(0.0, IDLE)
+        p0, _ = self.string.forcing(self.trolley.v, IDLE)
+        self._rate_of_rate = p0 - self.modes.omega**2 * eta
+        self._trolley_fx = self._drive_force(self.trolley.v, IDLE)
         self._ledger = Ledger(start=self._energy(self._motion, self.trolley.v))
 
     @property

@@ -8,16 +8,20 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 
 from ..errors import EnergyBalanceBroken, NotConverged
+from . import banded
 from .chain import (
     Array,
     DiscreteChain,
     along_elements,
+    applied_force,
     axial_force,
+    carried_force,
+    internal_force,
     kinetic_energy,
     potential_energy,
     straight_chain,
 )
-from .command import Command
+from .command import IDLE, Command
 from .companion import TimeError, apart
 from .crane import CraneModel, Posture, Solution
 from .energy_momentum import EnergyMomentum
@@ -83,10 +87,21 @@ class NonlinearCrane(CraneModel):
             ledger=Ledger(start=energy),
             energy=energy,
             scale=potential_energy(chain, r),
-            trolley_fx=0.0 - float(tension[0] * d[0, 0] / length[0]),
+            trolley_fx=self._released_force(motion),
         )
         with_companion = self.numerics.error_estimate != ERROR_ESTIMATES[0]
         self._companion: NonlinearState | None = self._state if with_companion else None
+
+    def _released_force(self, motion: Motion) -> float:
+        """Force of the drive in the instant of release, N: node 0's row of dynamic equilibrium."""
+        chain, v = self.chain, self.trolley.v
+        d = along_elements(motion.r)
+        hangs = self.initial.sway_angle == 0.0  # in balance, which round-off would not be
+        pull = chain.weight if hangs else internal_force(d, motion.tension)
+        force = applied_force(chain, IDLE, v) - pull
+        a = banded.Factors(banded.mass_bands(chain)).solve(force)[:, 0]
+        carried = carried_force(chain, IDLE, v, float(a[0]), float(a[-1]))
+        return carried - float(motion.tension[0] * d[0, 0] / np.hypot(d[0, 0], d[0, 1]))
 
     @property
     def energy(self) -> float:

@@ -15,7 +15,7 @@ _MAX_ELEMENTS = 10_000
 SCHEMES = ("energy_momentum", "newmark")
 MASS_MATRICES = ("consistent", "averaged")
 ERROR_ESTIMATES = ("off", "companion")
-_QUARTER_TURN = 1.5707963267948963  # rad, just below pi/2
+_HALF_TURN = 3.1415926535897927  # rad, just below pi
 LAST_DIGIT = 2e-16  # of the length: a position's last digit
 UNSTEADY = 1e-3  # of the weight: what that digit may move a tension by
 
@@ -91,10 +91,11 @@ class Initial:
         "initial.sway_angle",
         "rad",
         0.0,
-        "straight chain held at this angle, released at the start time",
-        minimum=-_QUARTER_TURN,
-        maximum=_QUARTER_TURN,
-        words="an angle strictly between -pi/2 and pi/2 rad",
+        "straight chain held at this angle, released at the start time; beyond pi/2 it stands on"
+        " the trolley, in compression",
+        minimum=-_HALF_TURN,
+        maximum=_HALF_TURN,
+        words="an angle strictly between -pi and pi rad",
     )
 
 
