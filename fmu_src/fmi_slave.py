@@ -340,6 +340,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             if self._model is None:
                 raise CraneError(self._fault)
             self._model.load(model_bytes)
+            self._noticed = self._model.notice() is not None
             self._model.start_time = self._start
         self._fault = head["fault"]
 

@@ -37,7 +37,7 @@ static inline int is_nan(double x) { return x != x; }
 
 static inline int is_finite(double x) { return x - x == 0.0; }
 
-static inline double larger(double a, double b) { return a > b ? a : b; }
+static inline double larger(double a, double b) { return b > a ? b : a; }
 
 static inline double smaller(double a, double b) { return a < b ? a : b; }
 

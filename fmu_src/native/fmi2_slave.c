@@ -211,9 +211,13 @@ static Outcome advance(Instance *c, double t, double dt, Failure *failure) {
 /* Advance in as many equal parts as internal steps, for inputs whose slope is taken as a mean. */
 static Outcome advance_in_parts(Instance *c, double h, Failure *failure) {
     SharedState *state = shared(c);
-    double steps = 0.0, iterations = 0.0;
+    double steps = 0.0, iterations = 0.0, impulse = 0.0;
+    Settings settings = settings_of(&c->values);
+    int compares = settings.solver_error_estimate == SOLVER_ERROR_ESTIMATE_COMPANION;
+    double longest =
+        (compares ? 2.0 : 1.0) * settings.solver_max_step; /* a pair of steps, or one */
     size_t bytes = state_count(c) * sizeof(double);
-    double count = equal_parts(h, c->values.number[VR_SOLVER_MAX_STEP]);
+    double count = equal_parts(h, longest);
     memcpy(c->before, state, bytes);
     for (double i = 0.0; i < count; i += 1.0) {
         Outcome outcome = advance(c, i * h / count, h / count, failure);
@@ -221,11 +225,14 @@ static Outcome advance_in_parts(Instance *c, double h, Failure *failure) {
             memcpy(state, c->before, bytes);
             return outcome;
         }
+        if (i == 0.0)
+            impulse = state->trolley_impulse; /* where the step's jump is, if there is one */
         steps += state->steps;
         iterations += state->iterations;
     }
     state->steps = steps;
     state->iterations = iterations;
+    state->trolley_impulse = impulse;
     return DONE;
 }
 
@@ -672,7 +679,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
         if (!build(&made, message)) return refuse(c, message);
         if (count != state_count(&made)) {
             drop_model(&made);
-            return refuse(c, "the saved state is of a crane with another number of elements");
+            return refuse(c, "the saved state is of other chain.elements or solver.error_estimate");
         }
         drop_model(c);
         c->memory = made.memory;
@@ -681,6 +688,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
     c->values = snapshot.values;
     if (!count) drop_model(c);
     else read_doubles(model, CRANE.state(c->memory), count);
+    c->noticed = count && CRANE.notice(c->memory) != NULL;
     c->phase = (Phase)snapshot.phase;
     c->time = snapshot.time;
     c->observed = 0;

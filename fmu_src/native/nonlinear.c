@@ -86,25 +86,42 @@ static double settle(Workspace *work, Motion *motion, double trolley_v, double m
     return energy;
 }
 
-/* The trolley's velocity jumps to ``after``. The drive's impulse gives all change of momentum, and
-   works at the mean velocity; what the jump leaves out of axial vibrations is booked as dissipated. */
+/* The drive's impulse, N s: all change of momentum, by the nodes' velocities in work->unknown. */
+static double drive_impulse(const Workspace *work, double dv) {
+    const Chain *c = &work->chain;
+    double momentum = 0.0;
+    for (int i = 0; i < c->n; i++) momentum += row_mass(c, i) * work->unknown[i].x;
+    return c->total_mass * dv + momentum;
+}
+
+/* The trolley's velocity jumps to ``after``; the drive's impulse works at the mean velocity. What the
+   jump leaves out of axial vibrations is booked as dissipated. It can be negative, down to -JUMP_GAIN
+   of the scale; a filtered impulse that would add more is given up for the plain one. */
 static void jump(Workspace *work, State *s, const Command *command, double after) {
     const Chain *c = &work->chain;
+    Motion *motion = &s->motion;
     SharedState *shared = &s->head->shared;
-    double before = shared->trolley_v, dv = after - before, momentum = 0.0;
+    size_t nodes = (size_t)c->n * sizeof(Vector);
+    double before = shared->trolley_v, dv = after - before, mean = 0.5 * (before + after);
     shared->trolley_impulse = 0.0;
     if (dv == 0.0) return;
-    int settles = scheme_of(c)->jump(work, &s->motion, command, after, dv);
-    for (int i = 0; i < c->n; i++) momentum += row_mass(c, i) * work->unknown[i].x;
-    double impulse = c->total_mass * dv + momentum, work_trolley = 0.5 * (before + after) * impulse;
-    double scale = energy_scale(c, s->head, after);
-    double energy = mechanical_energy(c, &s->motion, after);
+    memcpy(work->end.w, motion->w, nodes);
+    int settles = scheme_of(c)->jump(work, motion, command, after, dv);
+    double impulse = drive_impulse(work, dv), scale = energy_scale(c, s->head, after);
+    double most = s->head->energy + mean * impulse + JUMP_GAIN * scale;
+    double energy = mechanical_energy(c, motion, after);
+    if (settles && energy > most) {
+        memcpy(motion->w, work->end.w, nodes);
+        settles = plain_jump(work, motion, command, after, dv);
+        impulse = drive_impulse(work, dv);
+        energy = mechanical_energy(c, motion, after);
+    }
     if (settles) {
-        energy = settle(work, &s->motion, after, energy + JUMP_GAIN * scale, energy);
-        shared->ledger_dissipated += s->head->energy + work_trolley - energy;
+        energy = settle(work, motion, after, most, energy);
+        shared->ledger_dissipated += s->head->energy + mean * impulse - energy;
     }
     shared->trolley_impulse = impulse;
-    shared->ledger_trolley += work_trolley;
+    shared->ledger_trolley += mean * impulse;
     s->head->energy = energy;
     s->head->scale = scale;
     forget_load(c, s);
@@ -189,6 +206,15 @@ static Outcome internal_step(Workspace *work, State *s, double v, const Command 
     return internal_step(work, s, v, command, elapsed + h, h, halvings + 1, failure);
 }
 
+/* Doubles of one solution. */
+static size_t solution_count(const Settings *settings) {
+    return sizeof(NonlinearState) / sizeof(double) + 8 * (size_t)settings->chain_elements;
+}
+
+static int has_companion(const Settings *settings) {
+    return settings->solver_error_estimate == SOLVER_ERROR_ESTIMATE_COMPANION;
+}
+
 /* ---- companion.py ---- */
 
 static int is_predictable(const Chain *c, const NonlinearState *s) {
@@ -207,8 +233,15 @@ static Outcome compared_step(NonlinearCrane *crane, double v, const Command *com
     double tension = fine->motion.tension[0], force = head->trolley_fx;
     outcome = internal_step(work, fine, v, command, elapsed + h, h, 0, failure);
     if (outcome != DONE) return outcome;
-    outcome = internal_step(work, other, v, command, elapsed, 2.0 * h, 0, failure);
-    if (outcome != DONE) return outcome;
+    if (internal_step(work, other, v, command, elapsed, 2.0 * h, 0, failure) != DONE) {
+        const Settings *settings = &work->chain.settings; /* it goes on beside the finer one */
+        SharedState own = other->head->shared;
+        memcpy(other->head, head, solution_count(settings) * sizeof(double));
+        other->head->shared.steps = own.steps;
+        other->head->shared.iterations = own.iterations;
+        head->error_payload = larger(head->error_payload, settings->chain_length);
+        return DONE;
+    }
     Vector gap = minus(fine->motion.r[payload], other->motion.r[payload]);
     tension = 0.5 * (tension + fine->motion.tension[0]);
     force = 0.5 * (force + head->trolley_fx);
@@ -247,15 +280,6 @@ static State state_at(double *memory, int n) {
     s.motion.stretched = s.motion.tension + n;
     s.motion.last_h = 0.0;
     return s;
-}
-
-/* Doubles of one solution. */
-static size_t solution_count(const Settings *settings) {
-    return sizeof(NonlinearState) / sizeof(double) + 8 * (size_t)settings->chain_elements;
-}
-
-static int has_companion(const Settings *settings) {
-    return settings->solver_error_estimate == SOLVER_ERROR_ESTIMATE_COMPANION;
 }
 
 static size_t state_count(const Settings *settings) {
@@ -385,6 +409,7 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
     memcpy(head, crane->state.head, bytes);
     double v = commanded(shared, command);
     jump(&crane->work, &crane->trial, command, v);
+    if (other) other->shared.trolley_v = crane->state.head->shared.trolley_v;
     if (other) jump(&crane->work, &crane->trial_companion, command, v);
     shared->steps = shared->iterations = 0.0;
     if (other) other->shared.steps = other->shared.iterations = 0.0;

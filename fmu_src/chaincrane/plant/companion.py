@@ -9,7 +9,7 @@ one that a small change makes another one of; the mesh's error it does not see.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 
 from .chain import Array
@@ -41,6 +41,10 @@ class TimeError:
             max(self.tension_top, share * tension_top),
             max(self.trolley_fx, share * trolley_fx),
         )
+
+    def lost(self, length: float) -> TimeError:
+        """Where the solution with longer steps has failed: not to be told, so ``length``, m."""
+        return replace(self, payload=max(self.payload, length))
 
     def predictable(self, length: float) -> bool:
         """Whether a motion of a chain of ``length`` m still counts as predictable."""

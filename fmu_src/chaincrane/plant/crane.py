@@ -132,7 +132,7 @@ class CraneModel(ABC):
         Raises BadState, the crane unchanged, where the size does not fit.
         """
         if len(state) != len(self.save()):
-            raise BadState("the saved state is of a crane with another number of elements")
+            raise BadState("the saved state is of other chain.elements or solver.error_estimate")
         vectors = np.split(np.frombuffer(state, dtype="<f8").astype(float), len(self._save()))
         names = self._state_names
         numbers = dict(zip(names, vectors[0][: len(names)].tolist(), strict=True))

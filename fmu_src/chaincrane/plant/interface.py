@@ -156,8 +156,8 @@ OUTPUTS = (
         "0 since error.payload has exceeded 0.005 of the chain's length, and may be off by twice"
         " that: the motion is one that no step of this size predicts; else 1",
     ),
-    count("solver.steps", "internal steps of the last communication step"),
-    count("solver.iterations", "iterations of the last communication step"),
+    count("solver.steps", "internal steps of the last communication step, with a companion's"),
+    count("solver.iterations", "iterations of the last communication step, with a companion's"),
 )
 
 VARIABLES = INPUTS + PARAMETERS + OUTPUTS

@@ -244,5 +244,5 @@ class NativeCrane:
         Raises BadState, the crane unchanged, where the size does not fit.
         """
         if len(state) != 8 * self._count:
-            raise BadState("the saved state is of a crane with another number of elements")
+            raise BadState("the saved state is of other chain.elements or solver.error_estimate")
         ctypes.memmove(self._state, state, len(state))

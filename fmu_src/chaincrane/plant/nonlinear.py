@@ -26,11 +26,11 @@ from .companion import TimeError, apart
 from .crane import CraneModel, Posture, Solution
 from .energy_momentum import EnergyMomentum
 from .interface import LAST_COMMAND, NONLINEAR_STATE, NOT_PREDICTABLE
-from .jump import settled
+from .jump import plain_jump, settled
 from .ledger import Effort, Ledger
 from .newmark import Newmark
 from .parameters import ERROR_ESTIMATES, Crane, Initial, Numerics
-from .scheme import Load, Motion, Scheme
+from .scheme import Jump, Load, Motion, Scheme
 from .trolley import Trolley
 
 SCHEME_CLASSES: dict[str, Callable[[DiscreteChain], Scheme]] = {
@@ -40,7 +40,7 @@ SCHEME_CLASSES: dict[str, Callable[[DiscreteChain], Scheme]] = {
 MAX_HALVINGS = 12  # of an internal step that does not converge or breaks the energy balance
 STEP_ENERGY_TOLERANCE = 1e-3  # of the energy put in so far, what a step may be off by
 TOTAL_ENERGY_TOLERANCE = 5e-3  # the same, since the start
-JUMP_GAIN = 1e-3  # the same, what a jump may add by setting elements to the tension after it
+JUMP_GAIN = 1e-4  # of the energy put in so far, what a jump may add
 ROUND_OFF_ENERGY = 1e-9  # of weight times length, what round-off alone may amount to
 
 
@@ -128,21 +128,24 @@ class NonlinearCrane(CraneModel):
     ) -> tuple[NonlinearState, float]:
         """The trolley's velocity jumps, m/s: the state after it, and the drive's impulse, N s.
 
-        The impulse gives all change of momentum, and works at the mean velocity; what the jump
-        leaves out of axial vibrations is booked as dissipated.
+        What the jump leaves out of axial vibrations is booked as dissipated. That can be negative,
+        down to -JUMP_GAIN of the scale; a filtered impulse that would add more is given up for the
+        plain one.
         """
         chain, dv = self.chain, after - before
         if dv == 0.0:
             return state, 0.0
         jump = self._scheme.jump(state.motion, command, after, dv)
-        impulse = self.crane.total_mass * dv + float(chain.row_mass @ jump.dw[:, 0])
-        work = 0.5 * (before + after) * impulse
         scale = self._scale(state.scale, after, state.ledger)
-        motion, energy = jump.motion, self._energy(jump.motion, after)
+        most = state.energy + self._impulse_work(jump, before, after)[1] + JUMP_GAIN * scale
+        if jump.tension is not None and self._energy(jump.motion, after) > most:
+            jump = plain_jump(chain, state.motion, dv)
+        impulse, work = self._impulse_work(jump, before, after)
+        motion, dissipated = jump.motion, 0.0
         if jump.tension is not None:
-            motion = self._settled(motion, jump.tension, after, energy + JUMP_GAIN * scale)
-            energy = self._energy(motion, after)
-        dissipated = 0.0 if jump.tension is None else state.energy + work - energy
+            motion = self._settled(motion, jump.tension, after, most)
+            dissipated = state.energy + work - self._energy(motion, after)
+        energy = self._energy(motion, after)
         settled = replace(
             state,
             motion=motion,
@@ -152,6 +155,12 @@ class NonlinearCrane(CraneModel):
             scale=scale,
         )
         return settled, impulse
+
+    def _impulse_work(self, jump: Jump, before: float, after: float) -> tuple[float, float]:
+        """The drive's impulse, N s, all change of momentum; its work, J, at the mean velocity."""
+        momentum = float(self.chain.row_mass @ jump.dw[:, 0])
+        impulse = self.crane.total_mass * (after - before) + momentum
+        return impulse, 0.5 * (before + after) * impulse
 
     def _settled(self, motion: Motion, tension: Array, trolley_v: float, most: float) -> Motion:
         """Elements at the lengths of ``tension``, or as far on the way as keeps ``most`` J."""
@@ -184,10 +193,13 @@ class NonlinearCrane(CraneModel):
                 state, effort = self._internal_step(
                     first, effort, start, command, elapsed + part, part
                 )
-                companion, effort = self._internal_step(
-                    companion, effort, start, command, elapsed, 2.0 * part
-                )
-                error = self._seen(error, first, state, companion)
+                try:
+                    companion, effort = self._internal_step(
+                        companion, effort, start, command, elapsed, 2.0 * part
+                    )
+                    error = self._seen(error, first, state, companion)
+                except (NotConverged, EnergyBalanceBroken):  # it goes on beside the finer one
+                    companion, error = state, error.lost(self.crane.chain.length)
         self._state, self._companion, self._error = state, companion, error
         self.effort = effort
         self.impulse = impulse
