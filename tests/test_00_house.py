@@ -51,6 +51,7 @@ WITH_TWINS = [
     "crane.c",
     "banded.h",
     "energy_momentum.c",
+    "jump.c",
     "newmark.c",
     "nonlinear.c",
     "linear.c",
