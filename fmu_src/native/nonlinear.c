@@ -233,9 +233,9 @@ static Outcome compared_step(NonlinearCrane *crane, double v, const Command *com
     double tension = fine->motion.tension[0], force = head->trolley_fx;
     outcome = internal_step(work, fine, v, command, elapsed + h, h, 0, failure);
     if (outcome != DONE) return outcome;
+    SharedState own = other->head->shared;
     if (internal_step(work, other, v, command, elapsed, 2.0 * h, 0, failure) != DONE) {
         const Settings *settings = &work->chain.settings; /* it goes on beside the finer one */
-        SharedState own = other->head->shared;
         memcpy(other->head, head, solution_count(settings) * sizeof(double));
         other->head->shared.steps = own.steps;
         other->head->shared.iterations = own.iterations;

@@ -33,6 +33,7 @@ from ..variables import (
 from .design import (
     INPUTS_AT,
     SHOWN_MODES,
+    ControlPart,
     check_design,
     design_crane,
     elements_choice,
@@ -250,12 +251,11 @@ class Drive:
     move: tuple[Piece, ...] = ()
 
 
-class AntiSway:
+class AntiSway(ControlPart):
     """A controller that is run like a crane: step by step; its output is trolley.a_cmd."""
 
     def __init__(self, settings: AntiSwaySettings | None = None) -> None:
         self.settings = settings or AntiSwaySettings()
-        self.start_time = 0.0  # s, the host's
         self.settings.check()
         one = self.settings
         crane, elements = design_crane(one.crane, one.model, one.elements)
@@ -324,14 +324,6 @@ class AntiSway:
         top = limits.velocity * (1.0 - ROUND_OFF)
         a = min(max(a, (-top - v) / h), (top - v) / h)
         return min(max(a, -limits.acceleration), limits.acceleration)
-
-    def notice(self) -> str | None:
-        """Nothing: what it does is told by its outputs."""
-        return None
-
-    def output_values(self) -> list[float]:
-        """All outputs in the interface's order, in SI units."""
-        return list(self.outputs().values())
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,25 @@ MODELS = ("chain", "pendulum")
 INPUTS_AT = ("start", "end")
 MAX_DESIGN_ELEMENTS = 50
 SHOWN_MODES = 2
+
+
+class ControlPart(ABC):
+    """What observer and controller have alike: they are run step by step, like a crane."""
+
+    start_time = 0.0  # s, the host's
+
+    @abstractmethod
+    def outputs(self) -> dict[str, float]:
+        """All outputs by their FMU names, in SI units, in the interface's order."""
+
+    def output_values(self) -> list[float]:
+        """All outputs in the interface's order, in SI units."""
+        return list(self.outputs().values())
+
+    def notice(self) -> str | None:
+        """Nothing: what a part does is told by its outputs."""
+        return None
+
 
 # The crane's parameters that a taut string, which does not stretch, has a use for.
 CRANE_ROWS = tuple(row for row in rows(Crane) if row.name != "damping.chain")

@@ -35,6 +35,7 @@ from . import kalman
 from .design import (
     INPUTS_AT,
     SHOWN_MODES,
+    ControlPart,
     check_design,
     design_crane,
     elements_choice,
@@ -178,12 +179,11 @@ class Estimate:
 BLIND = ObserverInput()
 
 
-class CraneObserver:
+class CraneObserver(ControlPart):
     """A filter that is run like a crane: step by step, with outputs of the cranes' names."""
 
     def __init__(self, settings: ObserverSettings | None = None) -> None:
         self.settings = settings or ObserverSettings()
-        self.start_time = 0.0  # s, the host's
         self.settings.check()
         crane, elements = design_crane(
             self.settings.crane, self.settings.model, self.settings.elements
@@ -366,21 +366,13 @@ class CraneObserver:
         variances = np.einsum("ij,jk,ik->i", self._rows, covariance, self._rows)
         return [float(root) for root in np.sqrt(np.maximum(variances, 0.0))]
 
-    def notice(self) -> str | None:
-        """Nothing: what it does is told by its outputs."""
-        return None
-
-    def output_values(self) -> list[float | int]:
-        """All outputs in the interface's order, in SI units."""
-        return list(self.outputs().values())
-
-    def outputs(self) -> dict[str, float | int]:
+    def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
         state, shapes = self._state, self.string.modes.shapes
         eta, rate, trolley = state.now.eta, state.now.rate, state.trolley
         points = (self._points @ eta).tolist()
         x_rel, vx_rel = points[MATERIAL_POINTS - 1], float(shapes[-1] @ rate)
-        values: dict[str, float | int] = {
+        values: dict[str, float] = {
             "trolley.x": trolley.x,
             "trolley.v": trolley.v,
             "payload.x": trolley.x + x_rel,

@@ -201,7 +201,7 @@ def kinetic_energy(chain: DiscreteChain, w: Array, trolley_v: float) -> float:
     """Kinetic energy, J, of chain and payload; ``w`` relative (n, 2), ``trolley_v`` in m/s."""
     relative = 0.5 * float(np.vdot(w, mass_times(chain, w)))
     mixed = trolley_v * float(chain.row_mass @ w[:, 0])
-    total_mass = chain.crane.chain.mass + chain.crane.payload.mass
+    total_mass = chain.crane.total_mass
     return relative + mixed + 0.5 * total_mass * trolley_v**2
 
 

@@ -18,7 +18,7 @@ from .scheme import Motion
 TAUT_SHARE = 0.5  # of the difference of the two solutions that the error is told to be
 SLACK_SHARE = 1.0  # the same, since the chain has been slack
 # Of the chain's length: a motion whose told error is larger counts as unpredictable. The true one
-# may be twice as large, a hundredth of the length.
+# is within a factor of three as a rule, and was 20 times as large once, after a slack.
 UNPREDICTABLE = 0.005
 
 

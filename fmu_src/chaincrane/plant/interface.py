@@ -106,7 +106,7 @@ OUTPUTS = (
         "chain.tension_top",
         "N",
         "tension of the chain at the trolley; nonlinear: mean of the last internal step, and after"
-        " a jump without what vibrates faster than some 450 Hz along a stiff chain",
+        " a jump without what vibrates faster than some 140 Hz along a stiff chain",
         starts_from=_WEIGHT + _SWAY,
         starts_from_linear=_WEIGHT,
     ),
@@ -153,8 +153,8 @@ OUTPUTS = (
     output("error.trolley_fx", "N", "the same of trolley.fx"),
     count(
         "error.predictable",
-        "0 since error.payload has exceeded 0.005 of the chain's length, and may be off by twice"
-        " that: the motion is one that no step of this size predicts; else 1",
+        "0 since error.payload has exceeded 0.005 of the chain's length, the error itself perhaps"
+        " several times that: the motion is one that no step of this size predicts; else 1",
     ),
     count("solver.steps", "internal steps of the last communication step, with a companion's"),
     count("solver.iterations", "iterations of the last communication step, with a companion's"),

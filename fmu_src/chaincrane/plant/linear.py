@@ -235,7 +235,7 @@ class LinearCrane(CraneModel):
 
     def _carried(self, motion: ModalMotion, trolley_v: float) -> float:
         """Kinetic energy, J, that the trolley's velocity adds to the relative motion's."""
-        total = self.crane.chain.mass + self.crane.payload.mass
+        total = self.crane.total_mass
         return trolley_v * float(self.string.push @ motion.rate) + 0.5 * total * trolley_v**2
 
     def _advance(self, h: float, start: Trolley, command: Command) -> None:
@@ -271,12 +271,12 @@ class LinearCrane(CraneModel):
 
     def _momentum(self, motion: ModalMotion, trolley_v: float) -> float:
         """Horizontal momentum of chain and payload, kg m/s."""
-        total = self.crane.chain.mass + self.crane.payload.mass
+        total = self.crane.total_mass
         return float(self.string.push @ motion.rate) + total * trolley_v
 
     def _carried_path(self, start: ModalMotion, end: ModalMotion, trolley_dx: float) -> float:
         """Integral of the momentum over a step, kg m: mass times absolute displacement."""
-        total = self.crane.chain.mass + self.crane.payload.mass
+        total = self.crane.total_mass
         return float(self.string.push @ (end.eta - start.eta)) + total * trolley_dx
 
     def _drag(
@@ -290,7 +290,7 @@ class LinearCrane(CraneModel):
         taken = work = 0.0
         if not air:
             return taken, work
-        total = self.crane.chain.mass + self.crane.payload.mass
+        total = self.crane.total_mass
         count = equal_parts(h, DRAG_PANEL)
         width = h / count
         places = 0.5 * (1.0 + np.array(GAUSS_NODES)) * width

@@ -45,7 +45,7 @@ class Newmark:
         self.chain = chain
         crane = chain.crane
         self._mass = banded.mass_bands(chain)
-        weight = crane.gravity * (crane.chain.mass + crane.payload.mass)
+        weight = crane.gravity * crane.total_mass
         self._force_tolerance = (
             FORCE_TOLERANCE * weight + FORCE_ROUND_OFF * crane.chain.EA * chain.elements
         )
@@ -166,7 +166,7 @@ class Newmark:
             work += 0.5 * float(np.vdot(viscous, along_elements(path)))
         if damping.air:
             w, v = 0.5 * (start.w + end.w), 0.5 * (v0 + v1)
-            total = chain.crane.chain.mass + chain.crane.payload.mass
+            total = chain.crane.total_mass
             momentum = float(chain.row_mass @ w[:, 0]) + total * v
             work += damping.air * (
                 float(np.vdot(path, mass_times(chain, w)))

@@ -136,17 +136,19 @@ class NonlinearCrane(CraneModel):
         if dv == 0.0:
             return state, 0.0
         jump = self._scheme.jump(state.motion, command, after, dv)
-        scale = self._scale(state.scale, after, state.ledger)
-        most = state.energy + self._impulse_work(jump, before, after)[1] + JUMP_GAIN * scale
-        if jump.tension is not None and self._energy(jump.motion, after) > most:
-            jump = plain_jump(chain, state.motion, dv)
         impulse, work = self._impulse_work(jump, before, after)
-        motion, dissipated = jump.motion, 0.0
+        scale = self._scale(state.scale, after, state.ledger)
+        most = state.energy + work + JUMP_GAIN * scale
+        motion, energy, dissipated = jump.motion, self._energy(jump.motion, after), 0.0
+        if jump.tension is not None and energy > most:
+            jump = plain_jump(chain, state.motion, dv)
+            impulse, work = self._impulse_work(jump, before, after)
+            motion, energy = jump.motion, self._energy(jump.motion, after)
         if jump.tension is not None:
             motion = self._settled(motion, jump.tension, after, most)
-            dissipated = state.energy + work - self._energy(motion, after)
-        energy = self._energy(motion, after)
-        settled = replace(
+            energy = self._energy(motion, after)
+            dissipated = state.energy + work - energy
+        jumped = replace(
             state,
             motion=motion,
             last=None,
@@ -154,7 +156,7 @@ class NonlinearCrane(CraneModel):
             energy=energy,
             scale=scale,
         )
-        return settled, impulse
+        return jumped, impulse
 
     def _impulse_work(self, jump: Jump, before: float, after: float) -> tuple[float, float]:
         """The drive's impulse, N s, all change of momentum; its work, J, at the mean velocity."""
@@ -276,14 +278,14 @@ class NonlinearCrane(CraneModel):
 
         what the trolley and the payload's force can have put into the swing, in any frame.
         """
-        mass = self.crane.chain.mass + self.crane.payload.mass
+        mass = self.crane.total_mass
         changed = trolley_v - self.initial.speed
         start = ledger.start - 0.5 * mass * self.initial.speed**2
         return max(before, start + 0.5 * mass * changed * changed + abs(ledger.payload))
 
     def _check_energy(self, state: NonlinearState, ledger: Ledger, energy: float, h: float) -> None:
         """Raise EnergyBalanceBroken where energy now differs from before + work - dissipation."""
-        weight = self.crane.gravity * (self.crane.chain.mass + self.crane.payload.mass)
+        weight = self.crane.gravity * self.crane.total_mass
         floor = ROUND_OFF_ENERGY * weight * self.crane.chain.length
         scale = state.scale
         total = energy - ledger.expected

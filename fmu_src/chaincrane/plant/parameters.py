@@ -124,7 +124,8 @@ class Numerics:
         MASS_MATRICES[0],
         MASS_MATRICES,
         "mass matrix of an element: consistent (the paper's) or averaged with the lumped one, the"
-        " rotation of the whole kept exact: less error of the mesh, half or less with ten elements",
+        " rotation of the whole kept exact: half the error of the mesh or less for the paper's"
+        " payloads and ten elements, little less for a payload that is light beside the chain",
     )
     error_estimate: str = choice(
         "solver.error_estimate",
