@@ -23,6 +23,9 @@ typedef struct {
     const char *(*notice)(const void *memory);
     size_t (*state_count)(const Settings *settings); /* doubles */
     double *(*state)(void *memory);
+    /* Longest part, s, of a communication step that is stepped in one go: an input that changes within
+       the step is held at its mean over each such part. */
+    double (*longest_part)(const Settings *settings);
 } CraneModel;
 
 extern const CraneModel CRANE;

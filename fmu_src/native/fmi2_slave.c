@@ -208,16 +208,13 @@ static Outcome advance(Instance *c, double t, double dt, Failure *failure) {
     return outcome;
 }
 
-/* Advance in as many equal parts as internal steps, for inputs whose slope is taken as a mean. */
+/* Advance in equal parts, for inputs whose slope is taken as a mean over each. */
 static Outcome advance_in_parts(Instance *c, double h, Failure *failure) {
     SharedState *state = shared(c);
     double steps = 0.0, iterations = 0.0, impulse = 0.0;
     Settings settings = settings_of(&c->values);
-    int compares = settings.solver_error_estimate == SOLVER_ERROR_ESTIMATE_COMPANION;
-    double longest =
-        (compares ? 2.0 : 1.0) * settings.solver_max_step; /* a pair of steps, or one */
     size_t bytes = state_count(c) * sizeof(double);
-    double count = equal_parts(h, longest);
+    double count = equal_parts(h, CRANE.longest_part(&settings));
     memcpy(c->before, state, bytes);
     for (double i = 0.0; i < count; i += 1.0) {
         Outcome outcome = advance(c, i * h / count, h / count, failure);

@@ -408,4 +408,7 @@ static const char *notice(const void *memory) {
     return NULL;
 }
 
-const CraneModel CRANE = {memory_size, create, step, outputs, notice, state_count, state};
+static double longest_part(const Settings *settings) { return settings->solver_max_step; }
+
+const CraneModel CRANE = {memory_size, create,      step,  outputs,
+                          notice,      state_count, state, longest_part};

@@ -455,4 +455,10 @@ static const char *notice(const void *memory) {
     return is_predictable(&crane->work.chain, crane->state.head) ? NULL : NOT_PREDICTABLE;
 }
 
-const CraneModel CRANE = {memory_size, create, step, outputs, notice, state_count, state};
+/* An internal step; with a companion, which takes one where the crane takes two, a pair of them. */
+static double longest_part(const Settings *settings) {
+    return (has_companion(settings) ? 2.0 : 1.0) * settings->solver_max_step;
+}
+
+const CraneModel CRANE = {memory_size, create,      step,  outputs,
+                          notice,      state_count, state, longest_part};
