@@ -174,7 +174,7 @@ def report(results: Results) -> str:
 
 
 def summary(results: Results) -> str:
-    """The README's table: RMS error of the payload's estimate and residual sway, noisy."""
+    """docs/observer.md's table: RMS error of the payload's estimate and residual sway, noisy."""
     header = ["observer"]
     header += [f"{label}, {sensor}" for label in PAYLOADS for sensor in SENSORS]
     header += [f"{label}, stop" for label in PAYLOADS]

@@ -1,4 +1,4 @@
-"""The README: its commands, its tables, its numbers."""
+"""The README and the pages of docs: their commands, their tables, their numbers."""
 
 import importlib
 import re
@@ -14,6 +14,7 @@ from chaincrane_driver import cli, scenario
 from chaincrane_driver.compare import difference
 
 README = (ROOT / "README.md").read_text()
+DOCS = {page.stem: page.read_text() for page in (ROOT / "docs").glob("*.md")}
 EQUATIONS = (ROOT / "fmu_src" / "documentation" / "EQUATIONS.md").read_text()
 
 
@@ -52,7 +53,7 @@ def test_the_main_job_runs_from_anywhere(tmp_path: Path) -> None:
 
 
 def test_the_python_example_runs(fmus: Path) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", DOCS["hosts"], flags=re.DOTALL)
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=fmus, capture_output=True, text=True, timeout=120
     )
@@ -60,7 +61,7 @@ def test_the_python_example_runs(fmus: Path) -> None:
 
 
 def test_the_interface_table_is_the_interface() -> None:
-    listed = {row[0]: row for row in rows(README, 5)}
+    listed = {row[0]: row for row in rows(DOCS["interface"], 5)}
     for variable in VARIABLES:
         name = re.sub(r"\[\d+\]", "[i]", variable.name)
         row = listed[name]
@@ -93,7 +94,7 @@ def test_the_comparison_table_has_our_numbers(fmus: Path) -> None:
 
 def test_scenarios_are_listed() -> None:
     for one in scenario.find(ROOT / "scenarios"):
-        assert f"`{one.name}`" in README
+        assert f"`{one.name}`" in DOCS["scenarios"]
 
 
 def test_every_equation_has_its_function_and_test() -> None:
@@ -118,3 +119,27 @@ def test_no_binary_is_committed() -> None:
         pytest.skip("not a git checkout")
     for name in listed.stdout.splitlines():
         assert not name.endswith((".fmu", ".so", ".dll", ".dylib", ".pyc", ".ssp")), name
+
+
+def links() -> list[tuple[Path, Path, str]]:
+    """Links within our Markdown: the page that has it, the file it names, and the heading."""
+    found = []
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")):
+        for link in re.findall(r"\]\(([^)]+)\)", page.read_text()):
+            file, _, heading = link.partition("#")
+            if "://" not in link:
+                found.append((page, (page.parent / file).resolve() if file else page, heading))
+    return found
+
+
+def test_links_lead_somewhere() -> None:
+    for page, target, heading in links():
+        assert target.exists(), f"{page}: {target}"
+        if heading:
+            titles = re.findall(r"(?m)^#+ (.*)$", target.read_text().lower())
+            assert heading in [re.sub(r"[^\w -]", "", t).replace(" ", "-") for t in titles], page
+
+
+def test_every_page_is_linked_to() -> None:
+    linked = {target for page, target, _ in links() if page != target}
+    assert linked >= {page.resolve() for page in (ROOT / "docs").glob("*.md")}

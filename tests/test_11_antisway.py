@@ -1,4 +1,4 @@
-"""Rung 11, the controller and the loop. References: the definitions, other masters, the README."""
+"""Rung 11, the controller and the loop. References: definitions, other masters, documents."""
 
 from __future__ import annotations
 
@@ -356,13 +356,13 @@ def test_the_study_has_all_its_rows() -> None:
     assert {name for name, *_ in named} == set(study.TITLES)
 
 
-def test_the_readmes_study_is_the_documents_and_the_documents_the_fmus(fmus: Path) -> None:
-    """README against docs, all rows; docs against the FMUs, four runs of the study."""
+def test_the_summary_is_the_studys_and_the_study_the_fmus(fmus: Path) -> None:
+    """docs/observer.md against the study, all rows; the study against the FMUs, four runs of it."""
     document = (ROOT / "docs" / "observer_study.md").read_text()
-    readme = (ROOT / "README.md").read_text()
+    summary = (ROOT / "docs" / "observer.md").read_text()
     closed = {tuple(row[:4]): row[4:] for row in table_rows(document, "payload | sensor")}
     seen = 0
-    for name, *cells in table_rows(readme, "observer  "):
+    for name, *cells in table_rows(summary, "observer  "):
         places = [(p, s) for p in ("heavy", "light") for s in ("camera", "rope")]
         for (payload, sensor), cell in zip(places, cells, strict=False):
             error, _, _, residual, *_ = closed[payload, sensor, name, "noisy"]

@@ -1,7 +1,7 @@
 """The cranes' interface, in one table: variables, units, start values, ranges, meanings.
 
 Both cranes have the same variables. A value reference is a variable's place in ``VARIABLES``. The
-slaves, the model description, the C twins' header, the driver and the README's table are all made
+slaves, the model description, the C twins' header, the driver and docs/interface.md are all made
 from this. Inputs and parameters stand with the dataclasses that the models read: Command, Crane,
 Initial, Numerics. The layout of a crane's state, which its twin in C has too, stands below.
 """
