@@ -1,7 +1,9 @@
 """The README and the pages of docs: their commands, their tables, their numbers."""
 
 import importlib
+import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -52,12 +54,30 @@ def test_the_main_job_runs_from_anywhere(tmp_path: Path) -> None:
     assert len(list((tmp_path / "figures").glob("fig*"))) == 8
 
 
-def test_the_python_example_runs(fmus: Path) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", DOCS["hosts"], flags=re.DOTALL)
+def run_python(page: str, fmus: Path, folder: Path) -> str:
+    """Run the one Python example of a page beside the FMUs; what it prints."""
+    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    for fmu in fmus.glob("*.fmu"):
+        shutil.copy(fmu, folder)
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=fmus, capture_output=True, text=True, timeout=120
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=folder,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
-    assert -0.3 < float(done.stdout.splitlines()[-1]) < 0.3, done.stderr
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    return done.stdout
+
+
+def test_the_readmes_python_draws(fmus: Path, tmp_path: Path) -> None:
+    assert run_python(README, fmus, tmp_path) == ""  # nor a warning of FMPy's
+    assert (tmp_path / "sway.svg").stat().st_size > 10_000
+
+
+def test_the_hosts_python_runs(fmus: Path, tmp_path: Path) -> None:
+    assert -0.3 < float(run_python(DOCS["hosts"], fmus, tmp_path).splitlines()[-1]) < 0.3
 
 
 def test_the_interface_table_is_the_interface() -> None:
