@@ -45,6 +45,10 @@ class Setup:
     push: tuple[float, float, float] | None = None  # s, s, m/s2 by the payload's mass
     more: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # start values, by part
 
+    def __post_init__(self) -> None:
+        if self.observer < 0:
+            raise UserError(f"elements = {self.observer} is not allowed: 0 or more, a whole number")
+
     @property
     def label(self) -> str:
         """The observer's name in tables."""

@@ -6,10 +6,11 @@ import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 from . import compare, converge, plots, scenario, study
 from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_setting
-from .errors import UserError
+from .errors import UserError, instead
 from .loop import ORDERS
 from .masters import MASTERS, Package
 from .processes import Work, progress_bar, simulate_all
@@ -31,10 +32,12 @@ def run_all(one: Scenario, fmus: Path) -> dict[str, Table]:
 def checked_units(one: Scenario, fmus: Path) -> dict[str, str | None]:
     """Units of the first run's variables by name; raises UserError for a signal it has not."""
     variables = describe(fmus / one.runs[0].fmu).modelVariables
-    units = {variable.name: variable.unit for variable in variables}
+    outputs = [variable for variable in variables if variable.causality == "output"]
+    units = {variable.name: variable.unit for variable in outputs}
     for signal in one.look_at:
         if signal not in units:
-            raise UserError(f"{one.folder / 'scenario.toml'}: look_at: there is no {signal!r}")
+            path, near = one.folder / "scenario.toml", instead(signal, units)
+            raise UserError(f"{path}: look_at: there is no {signal!r}{near}")
     return units
 
 
@@ -62,8 +65,8 @@ def command_converge(options: argparse.Namespace) -> int:
     one = scenario.load(options.scenario)
     runs = [run for run in one.runs if options.run in (None, run.name)]
     if not runs:
-        known = ", ".join(run.name for run in one.runs)
-        raise UserError(f"{one.folder}: there is no run {options.run!r}; runs are {known}")
+        near = instead(options.run, (run.name for run in one.runs))
+        raise UserError(f"{one.folder}: there is no run {options.run!r}{near}")
     findings = converge.study(one, runs, options.fmus, options.signals)
     path = options.out / one.name / "convergence.csv"
     converge.write_csv(path, findings)
@@ -227,9 +230,17 @@ def command_study(options: argparse.Namespace) -> int:
     return 0
 
 
+class Parser(argparse.ArgumentParser):
+    """A command line's grammar whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with the message and where help is."""
+        self.exit(2, f"chaincrane: {message}; see {self.prog} --help\n")
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line's grammar."""
-    top = argparse.ArgumentParser(
+    top = Parser(
         prog="chaincrane",
         description="Drive the cranes' FMUs with FMPy: compare, draw, check.",
         epilog="examples:\n  chaincrane run scenarios/paper_heavy\n  chaincrane figures\n"

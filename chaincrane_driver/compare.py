@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .errors import UserError
-from .scenario import Run, Scenario, read_toml
+from .errors import UserError, instead
+from .scenario import Run, Scenario, checked_rules, read_toml
+from .shipped import TOLERANCES
 from .tables import Table
 
 IN_THOUSANDTHS = ("m", "m/s", "rad")  # shown in mm, mm/s, mrad
@@ -110,17 +110,17 @@ class Tolerance:
 
 
 def tolerances(scenario: Scenario) -> dict[str, Tolerance]:
-    """Tolerances by pattern of signal names: the common file's, overridden by the scenario's."""
-    common = scenario.folder.parent / "tolerances.toml"
-    rules: dict[str, Any] = read_toml(common) if common.exists() else {}
-    rules = rules | scenario.tolerance
-    try:
-        return {
-            pattern: Tolerance(float(rule["absolute"]), str(rule["reason"]))
-            for pattern, rule in rules.items()
-        }
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{common}: a tolerance needs 'absolute' and 'reason': {error}") from error
+    """Tolerances by pattern of signal names: the common file's, overridden by the scenario's.
+
+    The common file stands beside the scenario's folder; where there is none, ours counts.
+    """
+    beside = scenario.folder.parent / "tolerances.toml"
+    common = beside if beside.exists() else TOLERANCES
+    rules = checked_rules(common, read_toml(common)) | scenario.tolerance
+    return {
+        pattern: Tolerance(float(rule["absolute"]), rule["reason"])
+        for pattern, rule in rules.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,11 @@ def check(scenario: Scenario, run: Run, result: Table, reference: Table) -> list
         raise UserError(f"{path}: its times are not the scenario's; renew it with --update")
     rules = tolerances(scenario)
     assert reference.dtype.names is not None and rows.dtype.names is not None
+    for pattern in scenario.tolerance:
+        if not any(_fits(pattern, name) for name in rows.dtype.names):
+            near = instead(pattern, rows.dtype.names)
+            where = scenario.folder / "scenario.toml"
+            raise UserError(f"{where}: tolerance: {pattern!r} fits no signal{near}")
     for name in reference.dtype.names:
         if name not in rows.dtype.names:
             raise UserError(f"{path}: the FMU has no output {name!r}")
@@ -174,9 +179,14 @@ def check(scenario: Scenario, run: Run, result: Table, reference: Table) -> list
     return findings
 
 
+def _fits(pattern: str, name: str) -> bool:
+    """Does a rule's pattern fit a signal? '*' stands for anything, brackets for themselves."""
+    return fnmatchcase(name, pattern.replace("[", "[[]"))
+
+
 def _tolerance(rules: dict[str, Tolerance], name: str, path: Path) -> Tolerance:
-    """The last rule that fits a signal's name; '*' stands for anything, brackets for themselves."""
-    fitting = [rule for key, rule in rules.items() if fnmatchcase(name, key.replace("[", "[[]"))]
+    """The last rule that fits a signal's name."""
+    fitting = [rule for pattern, rule in rules.items() if _fits(pattern, name)]
     if not fitting:
         raise UserError(f"{path}: no tolerance is given for {name!r}")
     return fitting[-1]

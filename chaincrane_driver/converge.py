@@ -18,7 +18,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 from numpy.typing import NDArray
 
 from .compare import markdown_table, shown
-from .errors import UserError
+from .errors import UserError, instead
 from .processes import simulate_all
 from .progress import Progress
 from .scenario import Run, Scenario
@@ -233,7 +233,7 @@ def chosen(
     outputs = real_outputs(variables)
     for name in names or look_at:
         if name not in outputs:
-            raise UserError(f"{fmu}: there is no Real output {name!r}")
+            raise UserError(f"{fmu}: there is no Real output {name!r}{instead(name, outputs)}")
     usual = [*look_at, *(name for name in BESIDES if name in outputs)]
     return tuple(dict.fromkeys(names or usual))
 

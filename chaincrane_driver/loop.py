@@ -31,6 +31,7 @@ from fmpy.logging import addLoggerProxy
 from .errors import UserError
 from .progress import REPORTS, Progress
 from .simulate import describe
+from .start_values import check_start_values
 from .tables import Table
 
 CRANE, OBSERVER, ANTISWAY = "crane", "observer", "antisway"
@@ -201,9 +202,7 @@ class Part:
         self.seen: dict[str, float] = {}  # outputs, when they were last read
         self._description = describe(fmu)
         self._variables = {v.name: v for v in self._description.modelVariables}
-        for variable in start:
-            if variable not in self._variables:
-                raise UserError(f"{fmu}: there is no variable {variable!r} to start with")
+        check_start_values(fmu, self._description, start)
 
     def __enter__(self) -> Part:
         self._folder = extract(str(self.fmu))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from .errors import UserError
+from .errors import UserError, instead
 from .simulate import Job
 from .tables import read_table
 
@@ -74,61 +77,108 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise UserError(f"{path}: not valid TOML: {error}") from error
 
 
+# The keys that a scenario has, by table, and what each is. Those in brackets may be left out.
+KEYS: dict[str, dict[str, str]] = {
+    "": {
+        "title": "text",
+        "asks": "(text)",
+        "experiment": "table",
+        "start": "(table)",
+        "run": "tables",
+        "tolerance": "(table)",
+    },
+    "experiment": {
+        "stop_time": "number",
+        "output_interval": "number",
+        "reference_interval": "(number)",
+        "input": "(text)",
+        "look_at": "(texts)",
+    },
+    "run": {"name": "text", "label": "(text)", "fmu": "text", "start": "(table)"},
+    "tolerance": {"absolute": "number", "reason": "text"},
+}
+ASKED = {
+    "text": "a text in quotes",
+    "texts": "a list of names in quotes",
+    "number": "a finite number",
+    "table": "a table of names and values",
+    "tables": "tables, each headed by [[run]]",
+}
+FILE_NAME = r"[\w.-]+"
+LOOK_AT = ("payload.x_rel",)  # where a scenario does not say
+
+
+def checked(path: Path, where: str, table: Any, keys: Mapping[str, str]) -> dict[str, Any]:
+    """A table of a TOML file whose keys are known, complete and of the right type, or UserError."""
+    place = f"{path}: {where + ': ' if where else ''}"
+    if not isinstance(table, dict):
+        raise UserError(f"{place}{table!r} is not {ASKED['table']}")
+    for key in table:
+        if key not in keys:
+            raise UserError(f"{place}there is no key {key!r}{instead(key, keys)}")
+    for key, kind in keys.items():
+        if key in table:
+            kind = kind.strip("()")
+            if not _is(kind, table[key]):
+                raise UserError(f"{place}{key} = {table[key]!r} is not {ASKED[kind]}")
+        elif not kind.startswith("("):
+            raise UserError(f"{place}the key {key!r} is missing")
+    return table
+
+
+def _is(kind: str, value: Any) -> bool:
+    if kind == "text":
+        return isinstance(value, str)
+    if kind == "number":
+        return type(value) in (int, float) and isfinite(value)
+    if kind == "table":
+        return isinstance(value, dict)
+    of = str if kind == "texts" else dict
+    return isinstance(value, list) and bool(value) and all(isinstance(one, of) for one in value)
+
+
+def checked_rules(path: Path, rules: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Tolerances by pattern, each checked. Raises UserError."""
+    for pattern, rule in rules.items():
+        if checked(path, repr(pattern), rule, KEYS["tolerance"])["absolute"] < 0:
+            raise UserError(f"{path}: {pattern!r}: absolute = {rule['absolute']!r} is below 0")
+    return rules
+
+
 def load(folder: Path) -> Scenario:
     """Load the scenario of a folder. Raises UserError, naming the key that is missing or wrong."""
     path = folder / "scenario.toml"
-    data = read_toml(path)
-    try:
-        experiment = data["experiment"]
-        stop_time = float(experiment["stop_time"])
-        interval = float(experiment["output_interval"])
-        runs = tuple(
-            Run(
-                _text(run, "name"),
-                _text(run, "label"),
-                _text(run, "fmu"),
-                dict(run.get("start", {})),
-            )
-            for run in data["run"]
-        )
-        scenario = Scenario(
-            folder=folder.resolve(),
-            title=_text(data, "title"),
-            asks=_text(data, "asks"),
-            stop_time=stop_time,
-            output_interval=interval,
-            reference_interval=float(experiment.get("reference_interval", interval)),
-            look_at=_texts(experiment, "look_at"),
-            start=dict(data.get("start", {})),
-            runs=runs,
-            tolerance=dict(data.get("tolerance", {})),
-            input=folder / _text(experiment, "input") if "input" in experiment else None,
-        )
-    except KeyError as error:
-        raise UserError(f"{path}: the key {error.args[0]!r} is missing") from error
-    except (TypeError, ValueError, AttributeError) as error:
-        raise UserError(f"{path}: {error}") from error
-    if not 0.0 < interval <= stop_time < float("inf"):
+    data = checked(path, "", read_toml(path), KEYS[""])
+    experiment = checked(path, "experiment", data["experiment"], KEYS["experiment"])
+    tables = [checked(path, f"run {n}", run, KEYS["run"]) for n, run in enumerate(data["run"], 1)]
+    interval = float(experiment["output_interval"])
+    scenario = Scenario(
+        folder=folder.resolve(),
+        title=data["title"],
+        asks=data.get("asks", ""),
+        stop_time=float(experiment["stop_time"]),
+        output_interval=interval,
+        reference_interval=float(experiment.get("reference_interval", interval)),
+        look_at=tuple(experiment.get("look_at", LOOK_AT)),
+        start=data.get("start", {}),
+        runs=tuple(
+            Run(run["name"], run.get("label", run["name"]), run["fmu"], run.get("start", {}))
+            for run in tables
+        ),
+        tolerance=checked_rules(path, data.get("tolerance", {})),
+        input=folder / experiment["input"] if "input" in experiment else None,
+    )
+    if not 0.0 < interval <= scenario.stop_time:
         raise UserError(f"{path}: needs 0 < output_interval <= stop_time, both in seconds")
-    if not runs or len({run.name for run in runs}) < len(runs):
+    if len({run.name for run in scenario.runs}) < len(tables):
         raise UserError(f"{path}: needs at least one [[run]], and no name twice")
+    for run in scenario.runs:
+        if not re.fullmatch(FILE_NAME, run.name):
+            raise UserError(f"{path}: the run's name {run.name!r} must do as a file's name")
     rows = scenario.reference_interval / interval
     if not (rows > 0.5 and abs(rows - round(rows)) < 1e-9):
         raise UserError(f"{path}: reference_interval must be a multiple of output_interval")
     return scenario
-
-
-def _text(table: dict[str, Any], key: str) -> str:
-    if not isinstance(table[key], str):
-        raise TypeError(f"{key} = {table[key]!r} must be a text in quotes")
-    return str(table[key])
-
-
-def _texts(table: dict[str, Any], key: str) -> tuple[str, ...]:
-    value = table[key]
-    if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
-        raise TypeError(f"{key} = {value!r} must be a list of names in quotes")
-    return tuple(value)
 
 
 def find(folder: Path) -> list[Scenario]:

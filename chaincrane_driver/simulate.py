@@ -11,8 +11,9 @@ import numpy as np
 from fmpy import read_model_description, simulate_fmu
 from fmpy.model_description import ModelDescription
 
-from .errors import UserError, one_line
+from .errors import UserError, instead, one_line
 from .progress import REPORTS, Progress
+from .start_values import check_start_values
 from .tables import Table, column_names
 
 
@@ -54,10 +55,7 @@ def simulate(job: Job, progress: Progress = lambda time: None) -> Table:
     """Simulate in this process; ``progress`` is told the time reached. Raises UserError."""
     fmu = job.fmu
     description = describe(fmu)
-    known = {variable.name for variable in description.modelVariables}
-    for name in job.start_values:
-        if name not in known:
-            raise UserError(f"{fmu}: there is no variable {name!r} to start with")
+    check_start_values(fmu, description, job.start_values)
     log: list[str] = []
 
     def keep(env: Any, instance: bytes, status: int, category: bytes, message: bytes) -> None:
@@ -105,6 +103,6 @@ def _with_all_inputs(fmu: Path, description: ModelDescription, inputs: Table | N
     if inputs is not None:
         for name in column_names(inputs)[1:]:
             if name not in names:
-                raise UserError(f"{fmu}: {name!r} is not an input; inputs are {', '.join(names)}")
+                raise UserError(f"{fmu}: {name!r} is not an input{instead(name, names)}")
             table[name] = inputs[name]
     return table

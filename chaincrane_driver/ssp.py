@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from .errors import UserError
 from .loop import Loop
 from .simulate import describe
+from .start_values import check_start_values
 
 SSP = "http://ssp-standard.org/SSP1/"
 OSP = "com.opensimulationplatform"  # whose annotation libcosim takes its step size from
@@ -88,15 +88,15 @@ def _component(elements: Element, part: str, loop: Loop) -> None:
         SubElement(connector, "ssc:Real")
     start = loop.start.get(part, {})
     if start:
-        types = {v.name: v.type for v in describe(fmu).modelVariables}
+        description = describe(fmu)
+        check_start_values(fmu, description, start)
+        types = {v.name: v.type for v in description.modelVariables}
         bindings = SubElement(component, "ssd:ParameterBindings")
         binding = SubElement(bindings, "ssd:ParameterBinding")
         values = SubElement(binding, "ssd:ParameterValues")
         given = SubElement(values, "ssv:ParameterSet", {"version": "1.0", "name": PARAMETERS})
         parameters = SubElement(given, "ssv:Parameters")
         for name, value in start.items():
-            if name not in types:
-                raise UserError(f"{fmu}: there is no variable {name!r} to start with")
             parameter = SubElement(parameters, "ssv:Parameter", {"name": name})
             SubElement(parameter, f"ssv:{types[name]}", {"value": _text(types[name], value)})
 

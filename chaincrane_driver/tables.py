@@ -23,14 +23,18 @@ def column_names(table: Table) -> tuple[str, ...]:
 def read_table(path: Path) -> Table:
     """Read a CSV file of numbers with a header, its first column the time.
 
-    Raises UserError naming the file, row and column of what is not a number.
+    Where semicolons stand between the values, as spreadsheets of many countries write them, a comma
+    is a decimal point; a byte-order mark is passed over. Raises UserError naming the file, row and
+    column of what is not a number.
     """
     try:
-        with path.open(newline="") as file:
-            rows = [row for row in csv.reader(file) if row]
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not a text file"
         raise UserError(f"{path}: cannot be read: {reason}") from error
+    semicolons = ";" in text.partition("\n")[0]
+    lines = text.replace(",", ".").splitlines() if semicolons else text.splitlines()
+    rows = [row for row in csv.reader(lines, delimiter=";" if semicolons else ",") if row]
     if len(rows) < 2:
         raise UserError(f"{path}: needs a header and at least one row of numbers")
     header = [name.strip() for name in rows[0]]

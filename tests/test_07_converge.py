@@ -180,8 +180,7 @@ def test_errors_are_one_clear_line(
     fmus: Path, tmp_path: Path, old: str, new: str, options: list[str], parts: list[str]
 ) -> None:
     folder = short_push(tmp_path, old, new)
-    done = chaincrane("converge", folder, "--fmus", fmus, "--out", tmp_path / "out", *options)
-    one_line_error(done, *parts)
+    one_line_error(["converge", folder, "--fmus", fmus, "--out", tmp_path, *options], *parts)
 
 
 def test_help_has_an_example() -> None:
