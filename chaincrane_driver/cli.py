@@ -17,6 +17,7 @@ from .processes import Work, progress_bar, simulate_all
 from .scenario import Run, Scenario
 from .simulate import describe
 from .ssp import write_ssp
+from .stale import say_if_stale
 from .tables import Table, read_table, write_table
 
 PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
@@ -25,6 +26,7 @@ PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
 def run_all(one: Scenario, fmus: Path) -> dict[str, Table]:
     """Simulate every run of a scenario."""
     jobs = [one.job(run, fmus / run.fmu) for run in one.runs]
+    say_if_stale(job.fmu for job in jobs)
     tables = simulate_all(jobs, one.name)
     return {run.name: table for run, table in zip(one.runs, tables, strict=True)}
 
@@ -65,8 +67,9 @@ def command_converge(options: argparse.Namespace) -> int:
     one = scenario.load(options.scenario)
     runs = [run for run in one.runs if options.run in (None, run.name)]
     if not runs:
-        near = instead(options.run, (run.name for run in one.runs))
-        raise UserError(f"{one.folder}: there is no run {options.run!r}{near}")
+        known = ", ".join(run.name for run in one.runs)
+        raise UserError(f"{one.folder}: there is no run {options.run!r}; runs are {known}")
+    say_if_stale(options.fmus / run.fmu for run in runs)
     findings = converge.study(one, runs, options.fmus, options.signals)
     path = options.out / one.name / "convergence.csv"
     converge.write_csv(path, findings)
@@ -128,6 +131,8 @@ def command_check(options: argparse.Namespace) -> int:
     if not checked:
         raise UserError(f"{options.fmu}: no scenario runs a model named like {stand_in!r}")
     jobs = [one.job(run, options.fmu or options.fmus / run.fmu) for one, run in checked]
+    if say_if_stale(job.fmu for job in jobs) and not options.accept_stale:
+        raise UserError("nothing was checked: an FMU is stale (--accept-stale checks it as it is)")
     results = simulate_all(jobs, "check")
     failed = 0
     for (one, run), result in zip(checked, results, strict=True):
@@ -190,6 +195,7 @@ def command_antisway(options: argparse.Namespace) -> int:
         raise UserError("ecos and libcosim step side by side: --order sequential is FMPy's alone")
     methods = [setup.method, *(m for m in ("zv", "trapezoid") if m != setup.method)]
     loops = [replace(setup, method=method).loop(options.fmus) for method in methods]
+    say_if_stale(loops[0].fmus.values())
     ssp = write_ssp(options.out / "crane_antisway.ssp", loops[0])
     work: list[Work] = [*loops, *(Package(master, ssp, loops[0]) for master in others)]
     tables = simulate_all(work, "antisway")
@@ -219,6 +225,7 @@ METHOD_LABELS = {
 
 def command_study(options: argparse.Namespace) -> int:
     """Run a study from the FMUs: tables and a picture. The study: observer, some minutes."""
+    say_if_stale(sorted(options.fmus.glob("crane_*.fmu")))
     results = study.run(options.fmus)
     text = f"{study.PREFACE}\n{study.report(results)}"
     path = options.out / "observer_study.md"
@@ -337,6 +344,11 @@ def parser() -> argparse.ArgumentParser:
     scenarios(check)
     check.add_argument("scenario", type=Path, nargs="*", help="scenario folders (all)")
     check.add_argument("--fmu", type=Path, help="check this FMU, which has the same interface")
+    check.add_argument(
+        "--accept-stale",
+        action="store_true",
+        help="check FMUs too that are not what the sources beside this program would make",
+    )
     check.add_argument("--update", action="store_true", help="rewrite the references, on purpose")
     return top
 

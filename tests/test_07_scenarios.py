@@ -5,13 +5,15 @@ import io
 import shutil
 import subprocess
 import sys
+import zipfile
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT
 
-from chaincrane_driver import cli, scenario
+from chaincrane_driver import cli, scenario, stale
 from chaincrane_driver.compare import check, difference, reference_rows
 from chaincrane_driver.errors import UserError
 from chaincrane_driver.processes import simulate_all
@@ -264,6 +266,47 @@ def test_options_are_checked(
     one_line_error([*arguments, *more], *parts)
 
 
+def test_a_stale_fmu_is_not_checked(
+    fmus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Gravity changes in a copy of the sources, the FMU does not."""
+    shutil.copytree(ROOT / "fmu_src", tmp_path / "fmu_src")
+    monkeypatch.setattr(stale.changed_sources, "__defaults__", (tmp_path,))
+    every = sorted(fmus.glob("*.fmu"))
+    assert not stale.say_if_stale(every)
+    parameters = tmp_path / "fmu_src" / "chaincrane" / "plant" / "parameters.py"
+    text = parameters.read_text()
+    assert "9.81" in text
+    parameters.write_text(text.replace("9.81", "9.82"))
+    changed = {fmu.stem for fmu in every if stale.changed_sources(fmu)}
+    assert changed == {"crane_nl", "crane_lin", "crane_observer", "crane_antisway"}
+    options = ["check", SCENARIOS / "payload_push", "--fmu", fmus / "crane_nl.fmu"]
+    assert cli.main([str(option) for option in options]) == 2
+    errors = capsys.readouterr().err
+    assert "crane_nl.fmu is stale: fmu_src/chaincrane/plant/parameters.py changed" in errors
+    assert "nothing was checked" in errors
+    assert cli.main([*map(str, options), "--accept-stale"]) == 0
+    assert "1 runs as their references" in capsys.readouterr().out
+
+
+def test_an_fmu_away_from_its_sources_is_not_stale(fmus: Path, tmp_path: Path) -> None:
+    assert not stale.changed_sources(fmus / "crane_nl.fmu", tmp_path)
+
+
+def test_the_list_of_sources_is_sha256sums(fmus: Path, native_fmus: Path) -> None:
+    """Whole, for each FMU: another program finds every file of the checkout as listed."""
+    for fmu in [*fmus.glob("*.fmu"), *native_fmus.glob("*.fmu")]:
+        with zipfile.ZipFile(fmu) as archive:
+            listed = archive.read(stale.LIST).decode()
+        names = {line.partition("  ")[2] for line in listed.splitlines()}
+        assert "fmu_src/chaincrane_builder/compile_c.py" in names
+        if "crane_nl" in fmu.name or "native" in fmu.name:
+            assert {"fmu_src/native/chain.c", "fmu_src/chaincrane/plant/kernel.py"} <= names
+        for line in listed.splitlines():
+            digest, _, name = line.partition("  ")
+            assert sha256((ROOT / name).read_bytes()).hexdigest() == digest
+
+
 def test_a_file_that_is_no_fmu(tmp_path: Path) -> None:
     bad = tmp_path / "bad.fmu"
     bad.write_text("no zip file")
@@ -272,8 +315,6 @@ def test_a_file_that_is_no_fmu(tmp_path: Path) -> None:
 
 def test_an_fmu_that_crashes_is_one_line(fmus: Path, tmp_path: Path) -> None:
     """Its binary is cut short: the worker dies or fails, the driver says so."""
-    import zipfile
-
     broken = tmp_path / "crane_nl.fmu"
     with zipfile.ZipFile(fmus / "crane_nl.fmu") as source, zipfile.ZipFile(broken, "w") as target:
         for name in source.namelist():

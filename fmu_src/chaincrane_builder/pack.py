@@ -21,8 +21,8 @@ from importlib.metadata import distribution, version
 from pathlib import Path
 
 from . import compile_c, icon, model_description
-from .c_header import interface_header
-from .fmus import FMUS, NATIVE_MODELS, SOURCES
+from .c_header import SHARED_MODULES, interface_header
+from .fmus import FMUS, NATIVE, NATIVE_MODELS, SOURCES
 
 PACKAGE, SLAVE = "chaincrane", "fmi_slave"
 EARLIEST = 315532800  # 1980-01-01, the first day that a zip file can name
@@ -207,6 +207,26 @@ def _c_files(model: str) -> list[str]:
     return [name for name in compile_c.included(FMI_SLAVE_C, crane) if name.endswith(".c")]
 
 
+def made_from(model: str) -> bytes:
+    """Hashes of all files that decide what ``model``'s FMU is, in sha256sum's format.
+
+    A driver beside the sources sees by them whether the FMU is still what the sources say. They are
+    not in the guid: a comment here leaves an FMU of C what it was.
+    """
+    fmu = FMUS[model]
+    crane = fmu.crane or fmu.kernel
+    files = [SOURCES / name for name in imported(model.removesuffix(NATIVE))]
+    files += sorted(Path(__file__).parent.glob("*.py"))
+    if crane is not None:
+        root = FMI_SLAVE_C if fmu.crane else "kernel.c"
+        files += [SOURCES / "native" / name for name in compile_c.included(root, crane)]
+        files += [SOURCES / "native" / compile_c.NO_STARTUP, *SHARED_MODULES]
+    files += sorted((SOURCES / "documentation").iterdir())
+    names = {file.relative_to(SOURCES).as_posix(): file for file in files if file.exists()}
+    lines = [f"{sha256(file.read_bytes()).hexdigest()}  fmu_src/{n}" for n, file in names.items()]
+    return "\n".join([*sorted(lines, key=lambda line: line[64:]), ""]).encode()
+
+
 def _licences(*packages: str) -> dict[str, bytes]:
     """The licences of what an FMU carries, by FMU path."""
     found = {}
@@ -225,6 +245,7 @@ def _finish(model: str, digest: str, entries: dict[str, bytes], tool: str, dest:
     epoch = max(EARLIEST, int(os.environ.get("SOURCE_DATE_EPOCH", EARLIEST)))
     date = datetime.fromtimestamp(epoch, tz=timezone.utc)
     entries = entries | _described(model, digest, date.strftime("%Y-%m-%dT%H:%M:%SZ"), tool)
+    entries["documentation/sources.sha256"] = made_from(model)
     dest.mkdir(parents=True, exist_ok=True)
     fmu = dest / f"{model}.fmu"
     _write_archive(fmu, entries, date)
