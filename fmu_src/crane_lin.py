@@ -19,7 +19,7 @@ class crane_lin(FmiSlave):
 
     def make_model(self, parameters: dict[str, Any]) -> Model:
         """The linear crane; raises CraneError for what is not allowed."""
-        return LinearCrane(*settings(parameters))
+        return LinearCrane(*settings(parameters, self.tolerance))
 
 
 mend_import(globals())

@@ -19,7 +19,7 @@ try:  # now, and once in a process: the folder of an FMU that is loaded later ma
 except kernel.KernelMissing as error:
     LIBRARY, MISSING = None, str(error)
     require("numpy", "scipy")
-    from chaincrane.plant.nonlinear import NonlinearCrane
+    from chaincrane.plant.tolerance import nonlinear_crane
 
 
 class crane_nl(FmiSlave):
@@ -31,13 +31,14 @@ class crane_nl(FmiSlave):
 
     def make_model(self, parameters: dict[str, Any]) -> Model:
         """The nonlinear crane; raises CraneError for what is not allowed."""
+        chosen = settings(parameters, self.tolerance)
         if LIBRARY is not None:
-            return kernel.NativeCrane(*settings(parameters), library=LIBRARY)
+            return kernel.NativeCrane(*chosen, library=LIBRARY)
         if not self._warned:
             warning = f"{MISSING}: the NumPy model runs instead, some two hundred times slower"
             self.log(warning, Fmi2Status.warning, "logStatusWarning")
             self._warned = True
-        return NonlinearCrane(*settings(parameters))
+        return nonlinear_crane(*chosen)
 
 
 mend_import(globals())

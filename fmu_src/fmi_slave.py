@@ -100,6 +100,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         self._observed = False
         self._phase = "instantiated"
         self._start = self._time = 0.0
+        self.tolerance: float | None = None  # of the host's experiment; None: it has none
         self._fault: str | None = None
         self._refusal: str | None = None
         self._last_error: str | None = None
@@ -110,11 +111,13 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     def setup_experiment(
         self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
     ) -> None:
-        """Keep the start time; stop time and tolerance do not matter to the models."""
+        """Keep start time and tolerance; the stop time does not matter to the models."""
         if not isfinite(start_time):
             self._refuse(str(BadValue("start time", start_time, "a finite number, s")))
         elif self._phase != "stepping":
             self._start = self._time = start_time
+            self.tolerance = tolerance
+            self._model, self._observed = None, False
 
     def enter_initialization_mode(self) -> None:
         """From here on, until it is left, start values may be set and outputs be read."""
@@ -291,6 +294,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             "phase": self._phase,
             "start": self._start,
             "time": self._time,
+            "tolerance": self.tolerance,
             "fault": self._fault,
             "refusal": self._refusal,
             "values": self._values[: self._first_output],
@@ -326,11 +330,14 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
                 f" this is {self.modelName}, sources {SOURCES}"
             )
         first_parameter = len(self._inputs)
-        same = (
-            head["values"][first_parameter:] == self._values[first_parameter : self._first_output]
+        parameters = self._values[first_parameter : self._first_output]
+        same = (parameters, self.tolerance) == (
+            head["values"][first_parameter:],
+            head["tolerance"],
         )
         self._values[: self._first_output] = head["values"]
         self._phase, self._start, self._time = head["phase"], head["start"], head["time"]
+        self.tolerance = head["tolerance"]
         self._observed, self._refusal, self._fault = False, head["refusal"], None
         if not (same and model_bytes):  # a model of other parameters is of no use
             self._model = None

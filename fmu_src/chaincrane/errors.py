@@ -64,3 +64,10 @@ class EnergyBalanceBroken(CraneError):
 
 class BadState(CraneError):
     """A saved state that is damaged, or belongs to another model or build."""
+
+    @classmethod
+    def of_other_settings(cls) -> BadState:
+        """The error of a state whose size does not fit."""
+        return cls(
+            "the saved state is of other chain.elements, solver.error_estimate or solver.tolerance"
+        )

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from chaincrane.plant.interface import (
+    EXPERIMENT_TOLERANCE_ALLOWED,
     INPUTS,
     LAST_COMMAND,
     LINEAR_STATE,
@@ -21,7 +22,10 @@ from chaincrane.plant.interface import (
     NOT_PREDICTABLE,
     OUTPUTS,
     PARAMETERS,
+    PAST_STEP,
     SHARED_STATE,
+    TOLERANCE_NOT_KEPT,
+    TOLERANCE_STATE,
 )
 from chaincrane.plant.kernel import FAILURE, Outcome, layout
 from chaincrane.variables import Variable
@@ -29,6 +33,11 @@ from chaincrane.variables import Variable
 from .fmus import SOURCES
 
 KINDS = ("Real", "Integer", "String", "Boolean")
+WORDS = {
+    "EXPERIMENT_TOLERANCE_ALLOWED": EXPERIMENT_TOLERANCE_ALLOWED,
+    "NOT_PREDICTABLE": NOT_PREDICTABLE,
+    "TOLERANCE_NOT_KEPT": TOLERANCE_NOT_KEPT,
+}
 # Modules whose public constants are their C twins' too.
 SHARED_MODULES = (
     *sorted((SOURCES / "chaincrane" / "plant").glob("*.py")),
@@ -93,11 +102,13 @@ def twins_header() -> str:
         *_structure("SharedState", SHARED_STATE),
         *_structure("NonlinearState", _own_members(NONLINEAR_STATE)),
         *_structure("LinearState", _own_members(LINEAR_STATE)),
+        *_structure("ToleranceState", TOLERANCE_STATE),
+        *_structure("PastStep", _past_members()),
         *_structure("Failure", FAILURE),
         "/* How a step ends. */",
         f"typedef enum {{ {', '.join(f'{one.name} = {one.value}' for one in Outcome)} }} Outcome;",
         "",
-        f"static const char NOT_PREDICTABLE[] = {_text(NOT_PREDICTABLE)};",
+        *(f"static const char {name}[] = {_text(words)};" for name, words in WORDS.items()),
         "",
         "/* A hash of these structures, for kernel.py. */",
         f"static const char LAYOUT[] = {_text(layout())};",
@@ -121,6 +132,8 @@ def _sizes() -> dict[str, int]:
         "Outputs": len(OUTPUTS),
         "NonlinearState": len(NONLINEAR_STATE),
         "LinearState": len(LINEAR_STATE),
+        "ToleranceState": len(TOLERANCE_STATE),
+        "PastStep": len(PAST_STEP),
         "Failure": len(FAILURE),
     }
 
@@ -171,6 +184,17 @@ def _own_members(state: Mapping[str, str]) -> dict[str, str]:
         if name.startswith(LAST_COMMAND):
             members[f"Command {LAST_COMMAND.rstrip('.')}"] = "of the last step, if loaded"
         elif name not in SHARED_STATE:
+            members[name] = note
+    return members
+
+
+def _past_members() -> dict[str, str]:
+    """A communication step that can be run anew, as members."""
+    members: dict[str, str] = {}
+    for name, note in PAST_STEP.items():
+        if name in (row.symbol for row in INPUTS):
+            members["Command command"] = "held over it"
+        else:
             members[name] = note
     return members
 

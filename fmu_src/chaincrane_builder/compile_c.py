@@ -159,7 +159,7 @@ def kernel_libraries(crane: str) -> dict[str, bytes]:
     return libraries(included("kernel.c", crane), KERNEL)
 
 
-def kernel_for_host(dest: Path, crane: str = "nonlinear.c") -> Path:
+def kernel_for_host(dest: Path, crane: str = "tolerance.c") -> Path:
     """This host's kernel of a crane's C file, written to ``dest``; its path.
 
     Raises CalledProcessError, or FileNotFoundError where there is no compiler.

@@ -47,7 +47,7 @@ _LINEAR = (
 _IN_C = "; native, no Python inside"
 
 FMUS = {
-    "crane_nl": Fmu(_NONLINEAR, interface.VARIABLES, kernel="nonlinear.c"),
+    "crane_nl": Fmu(_NONLINEAR, interface.VARIABLES, kernel="tolerance.c"),
     "crane_lin": Fmu(_LINEAR, interface.VARIABLES, linear=True),
     "crane_observer": Fmu(
         "Observer of an overhead crane's chain and payload: a steady-state Kalman filter on the"
@@ -61,7 +61,7 @@ FMUS = {
         antisway_interface.VARIABLES,
         "control.html",
     ),
-    "crane_nl_native": Fmu(_NONLINEAR + _IN_C, interface.VARIABLES, crane="nonlinear.c"),
+    "crane_nl_native": Fmu(_NONLINEAR + _IN_C, interface.VARIABLES, crane="tolerance.c"),
     "crane_lin_native": Fmu(_LINEAR + _IN_C, interface.VARIABLES, linear=True, crane="linear.c"),
 }
 MODELS = tuple(name for name, fmu in FMUS.items() if fmu.crane is None)

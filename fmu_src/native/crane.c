@@ -2,6 +2,8 @@
 
 #include "crane.h"
 
+#include <string.h>
+
 /* ---- trolley.py ---- */
 
 double equal_parts(double h, double longest) {
@@ -63,4 +65,15 @@ void shared_outputs(const SharedState *state, const Posture *posture, double ene
     o->energy_error = energy - expected_energy(state);
     o->solver_steps = state->steps;
     o->solver_iterations = state->iterations;
+}
+
+size_t save_plain(const double *own, size_t count, double *state) {
+    if (state) memcpy(state, own, count * sizeof(double));
+    return count;
+}
+
+int load_plain(double *own, size_t own_count, const double *state, size_t count) {
+    if (count != own_count) return 0;
+    memcpy(own, state, count * sizeof(double));
+    return 1;
 }

@@ -2,8 +2,7 @@
    trolley.py in chaincrane/plant.
 
    A crane lives in memory of the caller's, ``memory(settings)`` bytes, and allocates nothing; its
-   whole state is one flat array of doubles, which begins with a SharedState. Each crane's file
-   defines one CRANE. */
+   whole state can be had as doubles, which begin with a SharedState. Each library has one CRANE. */
 
 #ifndef CRANE_H
 #define CRANE_H
@@ -21,14 +20,23 @@ typedef struct {
     void (*outputs)(const void *memory, Outputs *outputs);
     /* What a user should be told of the motion, once; NULL: nothing. */
     const char *(*notice)(const void *memory);
-    size_t (*state_count)(const Settings *settings); /* doubles */
-    double *(*state)(void *memory);
+    /* What the state begins with, in place. */
+    SharedState *(*shared)(void *memory);
+    size_t (*state_count)(const Settings *settings); /* most doubles that a state can have */
+    /* Write the state; the count of its doubles. ``state`` NULL: only count them. */
+    size_t (*save)(const void *memory, double *state);
+    /* Restore what ``save`` gave; 0, the crane as it was, where it is of other settings. */
+    int (*load)(void *memory, const double *state, size_t count);
     /* Longest part, s, of a communication step that is stepped in one go: an input that changes within
        the step is held at its mean over each such part. */
     double (*longest_part)(const Settings *settings);
 } CraneModel;
 
 extern const CraneModel CRANE;
+
+/* save and load of a crane whose state is one array of ``own`` doubles. */
+size_t save_plain(const double *own, size_t count, double *state);
+int load_plain(double *own, size_t own_count, const double *state, size_t count);
 
 /* ---- trolley.py ---- */
 

@@ -39,7 +39,7 @@ typedef struct {
     double time; /* s, reached */
     Values values;
     void *memory;   /* the model's, or NULL: there is none */
-    double *before; /* the model's state before a step in parts */
+    double *before; /* room for the model's state: before a step in parts, or one to be restored */
     int observed, noticed;
     Outputs seen;
     fmi2Status last_step;
@@ -65,11 +65,6 @@ static fmi2Status refuse(const Instance *c, const char *message) {
 }
 
 /* ---- the model ---- */
-
-static size_t state_count(const Instance *c) {
-    Settings settings = settings_of(&c->values);
-    return c->memory ? CRANE.state_count(&settings) : 0;
-}
 
 static void drop_model(Instance *c) {
     free(c->memory);
@@ -138,7 +133,7 @@ static void describe_failure(Outcome outcome, const Failure *failure, char messa
 }
 
 /* What the model's state begins with. */
-static SharedState *shared(const Instance *c) { return (SharedState *)CRANE.state(c->memory); }
+static SharedState *shared(const Instance *c) { return CRANE.shared(c->memory); }
 
 /* The command over dt, t after the step's start: inputs by their means, but v_cmd as it is at the
    start, whose slope acts as an acceleration, exactly. */
@@ -213,13 +208,12 @@ static Outcome advance_in_parts(Instance *c, double h, Failure *failure) {
     SharedState *state = shared(c);
     double steps = 0.0, iterations = 0.0, impulse = 0.0;
     Settings settings = settings_of(&c->values);
-    size_t bytes = state_count(c) * sizeof(double);
     double count = equal_parts(h, CRANE.longest_part(&settings));
-    memcpy(c->before, state, bytes);
+    size_t saved = CRANE.save(c->memory, c->before);
     for (double i = 0.0; i < count; i += 1.0) {
         Outcome outcome = advance(c, i * h / count, h / count, failure);
         if (outcome != DONE) {
-            memcpy(state, c->before, bytes);
+            CRANE.load(c->memory, c->before, saved);
             return outcome;
         }
         if (i == 0.0)
@@ -311,14 +305,17 @@ fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean toleranceDef
                                fmi2Real tolerance, fmi2Real startTime, fmi2Boolean stopTimeDefined,
                                fmi2Real stopTime) {
     Instance *c = component;
-    (void)toleranceDefined, (void)tolerance, (void)stopTimeDefined, (void)stopTime;
+    (void)stopTimeDefined, (void)stopTime;
     if (!c) return fmi2Error;
     if (!is_finite(startTime)) {
         char message[MESSAGE_SIZE];
         bad_number(message, "start time", startTime, "a finite number, s");
         return refuse(c, message);
     }
-    if (c->phase != STEPPING) c->time = startTime;
+    if (c->phase == STEPPING) return fmi2OK;
+    c->time = startTime;
+    c->values.tolerance = toleranceDefined ? tolerance : NAN;
+    if (c->phase == INITIALISING) drop_model(c); /* it was made to be looked at */
     return fmi2OK;
 }
 
@@ -645,12 +642,19 @@ static int make_room(fmi2FMUstate *state, size_t size) {
 fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *FMUstate) {
     Instance *c = component;
     if (!c || !FMUstate) return fmi2Error;
-    size_t count = state_count(c);
+    size_t count = c->memory ? CRANE.save(c->memory, c->before) : 0;
     if (!make_room(FMUstate, saved_size(count))) return refuse(c, "no memory for a saved state");
     Snapshot snapshot = {(int)c->phase, c->time, c->values};
-    save_state(&snapshot, c->memory ? CRANE.state(c->memory) : NULL, count,
-               ((SavedState *)*FMUstate)->bytes);
+    save_state(&snapshot, c->before, count, ((SavedState *)*FMUstate)->bytes);
     return fmi2OK;
+}
+
+/* The model's part of a saved state; 0, the model as it was, where it does not fit. */
+static int restore_model(Instance *c, const unsigned char *model, size_t count) {
+    Settings settings = settings_of(&c->values);
+    if (count > CRANE.state_count(&settings)) return 0;
+    read_doubles(model, c->before, count);
+    return CRANE.load(c->memory, c->before, count);
 }
 
 /* Restore a state, all or nothing. */
@@ -670,21 +674,19 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
     int same =
         c->memory &&
         memcmp(c->values.number + INPUTS, snapshot.values.number + INPUTS, parameters) == 0 &&
-        memcmp(c->values.text, snapshot.values.text, sizeof c->values.text) == 0;
-    if (count && (!same || count != state_count(c))) {
-        Instance made = {.values = snapshot.values};
-        if (!build(&made, message)) return refuse(c, message);
-        if (count != state_count(&made)) {
-            drop_model(&made);
-            return refuse(c, "the saved state is of other chain.elements or solver.error_estimate");
-        }
-        drop_model(c);
-        c->memory = made.memory;
-        c->before = made.before;
+        memcmp(c->values.text, snapshot.values.text, sizeof c->values.text) == 0 &&
+        memcmp(&c->values.tolerance, &snapshot.values.tolerance, sizeof(double)) == 0;
+    Instance made = {.values = snapshot.values, .memory = c->memory, .before = c->before};
+    if (!same) made.memory = NULL, made.before = NULL;
+    if (count && !same && !build(&made, message)) return refuse(c, message);
+    if (count && !restore_model(&made, model, count)) {
+        if (!same) drop_model(&made);
+        return refuse(c, "the saved state is of other chain.elements, solver.error_estimate or"
+                         " solver.tolerance");
     }
+    if (!count || !same) drop_model(c);
+    if (count) c->memory = made.memory, c->before = made.before;
     c->values = snapshot.values;
-    if (!count) drop_model(c);
-    else read_doubles(model, CRANE.state(c->memory), count);
     c->noticed = count && CRANE.notice(c->memory) != NULL;
     c->phase = (Phase)snapshot.phase;
     c->time = snapshot.time;

@@ -14,8 +14,9 @@ EXPORT void crane_create(void *memory, const Settings *settings);
 EXPORT int crane_step(void *memory, double h, const Command *command, Failure *failure);
 EXPORT void crane_outputs(const void *memory, Outputs *outputs);
 EXPORT const char *crane_notice(const void *memory);
-EXPORT size_t crane_state_count(const Settings *settings);
-EXPORT double *crane_state(void *memory);
+EXPORT SharedState *crane_shared(void *memory);
+EXPORT size_t crane_save(const void *memory, double *state);
+EXPORT int crane_load(void *memory, const double *state, size_t count);
 
 /* Of what the two hand each other, for kernel.py to compare with its own. */
 const char *crane_layout(void) { return LAYOUT; }
@@ -32,6 +33,10 @@ void crane_outputs(const void *memory, Outputs *outputs) { CRANE.outputs(memory,
 
 const char *crane_notice(const void *memory) { return CRANE.notice(memory); }
 
-size_t crane_state_count(const Settings *settings) { return CRANE.state_count(settings); }
+SharedState *crane_shared(void *memory) { return CRANE.shared(memory); }
 
-double *crane_state(void *memory) { return CRANE.state(memory); }
+size_t crane_save(const void *memory, double *state) { return CRANE.save(memory, state); }
+
+int crane_load(void *memory, const double *state, size_t count) {
+    return CRANE.load(memory, state, count);
+}

@@ -401,7 +401,17 @@ static void create(void *memory, const Settings *settings) {
     c->head->shared.ledger_start = energy(c, c->motion, settings->initial_speed);
 }
 
-static double *state(void *memory) { return (double *)((LinearCrane *)memory)->head; }
+static SharedState *shared(void *memory) { return &((LinearCrane *)memory)->head->shared; }
+
+static size_t save(const void *memory, double *state) {
+    const LinearCrane *c = memory;
+    return save_plain((double *)c->head, state_count(&c->chain.settings), state);
+}
+
+static int load(void *memory, const double *state, size_t count) {
+    LinearCrane *c = memory;
+    return load_plain((double *)c->head, state_count(&c->chain.settings), state, count);
+}
 
 static const char *notice(const void *memory) {
     (void)memory; /* an exact step has nothing to say */
@@ -410,5 +420,13 @@ static const char *notice(const void *memory) {
 
 static double longest_part(const Settings *settings) { return settings->solver_max_step; }
 
-const CraneModel CRANE = {memory_size, create,      step,  outputs,
-                          notice,      state_count, state, longest_part};
+const CraneModel CRANE = {.memory = memory_size,
+                          .create = create,
+                          .step = step,
+                          .outputs = outputs,
+                          .notice = notice,
+                          .shared = shared,
+                          .state_count = state_count,
+                          .save = save,
+                          .load = load,
+                          .longest_part = longest_part};

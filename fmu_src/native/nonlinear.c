@@ -9,6 +9,7 @@
 #include "energy_momentum.h"
 #include "jump.h"
 #include "newmark.h"
+#include "nonlinear.h"
 
 static const Scheme *const SCHEME[] = {[SOLVER_SCHEME_ENERGY_MOMENTUM] = &ENERGY_MOMENTUM_SCHEME,
                                        [SOLVER_SCHEME_NEWMARK] = &NEWMARK_SCHEME};
@@ -212,7 +213,8 @@ static size_t solution_count(const Settings *settings) {
 }
 
 static int has_companion(const Settings *settings) {
-    return settings->solver_error_estimate == SOLVER_ERROR_ESTIMATE_COMPANION;
+    return settings->solver_error_estimate == SOLVER_ERROR_ESTIMATE_COMPANION ||
+           settings->solver_tolerance > 0.0;
 }
 
 /* ---- companion.py ---- */
@@ -331,7 +333,19 @@ static size_t lay_out(NonlinearCrane *crane, char *memory, const Settings *setti
 
 static size_t memory_size(const Settings *settings) { return lay_out(NULL, NULL, settings); }
 
-static double *state(void *memory) { return (double *)((NonlinearCrane *)memory)->state.head; }
+static SharedState *shared(void *memory) { return &((NonlinearCrane *)memory)->state.head->shared; }
+
+static size_t save(const void *memory, double *state) {
+    const NonlinearCrane *crane = memory;
+    size_t count = state_count(&crane->work.chain.settings);
+    return save_plain((double *)crane->state.head, count, state);
+}
+
+static int load(void *memory, const double *state, size_t count) {
+    NonlinearCrane *crane = memory;
+    size_t own = state_count(&crane->work.chain.settings);
+    return load_plain((double *)crane->state.head, own, state, count);
+}
 
 /* ---- the crane ---- */
 
@@ -460,5 +474,17 @@ static double longest_part(const Settings *settings) {
     return (has_companion(settings) ? 2.0 : 1.0) * settings->solver_max_step;
 }
 
-const CraneModel CRANE = {memory_size, create,      step,  outputs,
-                          notice,      state_count, state, longest_part};
+double estimated_error(const void *memory) {
+    return ((const NonlinearCrane *)memory)->state.head->error_payload;
+}
+
+const CraneModel NONLINEAR = {.memory = memory_size,
+                              .create = create,
+                              .step = step,
+                              .outputs = outputs,
+                              .notice = notice,
+                              .shared = shared,
+                              .state_count = state_count,
+                              .save = save,
+                              .load = load,
+                              .longest_part = longest_part};

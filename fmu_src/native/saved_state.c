@@ -1,7 +1,7 @@
 /* An instance's whole state as bytes; see saved_state.h.
 
    Layout: magic, checksum of what follows, model, sources, count of the model's doubles, phase,
-   time, values, slopes, texts, the model's state. */
+   time, the experiment's tolerance, values, slopes, texts, the model's state. */
 
 #include "saved_state.h"
 
@@ -20,7 +20,8 @@ enum {
     COUNT_AT = SOURCES_AT + SOURCES_SIZE,
     PHASE_AT = COUNT_AT + WORD,
     TIME_AT = PHASE_AT + WORD,
-    VALUES_AT = TIME_AT + WORD,
+    TOLERANCE_AT = TIME_AT + WORD,
+    VALUES_AT = TOLERANCE_AT + WORD,
     SLOPES_AT = VALUES_AT + SETTABLE * WORD,
     TEXTS_AT = SLOPES_AT + INPUTS * WORD,
     STATE_AT = TEXTS_AT + STRINGS * TEXT_SIZE
@@ -70,6 +71,7 @@ void save_state(const Snapshot *snapshot, const double *model, size_t model_coun
     put_word(bytes + COUNT_AT, model_count);
     put_word(bytes + PHASE_AT, (uint64_t)snapshot->phase);
     put_doubles(bytes + TIME_AT, &snapshot->time, 1);
+    put_doubles(bytes + TOLERANCE_AT, &values->tolerance, 1);
     put_doubles(bytes + VALUES_AT, values->number, SETTABLE);
     put_doubles(bytes + SLOPES_AT, values->slope, INPUTS);
     memcpy(bytes + TEXTS_AT, values->text, sizeof values->text);
@@ -94,6 +96,7 @@ const char *load_state(const unsigned char *bytes, size_t size, Snapshot *snapsh
     Values *values = &snapshot->values;
     snapshot->phase = (int)get_word(bytes + PHASE_AT);
     read_doubles(bytes + TIME_AT, &snapshot->time, 1);
+    read_doubles(bytes + TOLERANCE_AT, &values->tolerance, 1);
     read_doubles(bytes + VALUES_AT, values->number, SETTABLE);
     read_doubles(bytes + SLOPES_AT, values->slope, INPUTS);
     memcpy(values->text, bytes + TEXTS_AT, sizeof values->text);

@@ -11,6 +11,7 @@ static int is_finite(double value) { return value - value == 0.0; }
 
 void take_start_values(Values *values) {
     memset(values, 0, sizeof *values);
+    values->tolerance = NAN;
     for (int i = 0; i < SETTABLE; i++) {
         values->number[i] = VARIABLE[i].start;
         if (VARIABLE[i].kind == STRING)
@@ -53,6 +54,21 @@ static int too_stiff(const double *number, char message[MESSAGE_SIZE]) {
     return 1;
 }
 
+static int asks_for_experiment(const Values *values) {
+    return choice(values, VR_SOLVER_TOLERANCE_FROM) == SOLVER_TOLERANCE_FROM_EXPERIMENT;
+}
+
+/* interface.py: the experiment's tolerance where it is asked for. */
+static int bad_tolerance(const Values *values, char message[MESSAGE_SIZE]) {
+    double relative = values->tolerance;
+    char number[NUMBER_SIZE];
+    if (!asks_for_experiment(values) || (relative > 0.0 && relative < 1.0)) return 0;
+    not_allowed(message, "tolerance of the experiment",
+                relative == relative ? text_repr(number, relative) : "None",
+                EXPERIMENT_TOLERANCE_ALLOWED);
+    return 1;
+}
+
 int bad_parameter(const Values *values, char message[MESSAGE_SIZE]) {
     for (int i = INPUTS; i < SETTABLE; i++) {
         const Variable *variable = &VARIABLE[i];
@@ -72,7 +88,7 @@ int bad_parameter(const Values *values, char message[MESSAGE_SIZE]) {
         not_allowed(message, variable->name, text, variable->allowed);
         return 1;
     }
-    return 0;
+    return bad_tolerance(values, message);
 }
 
 Settings settings_of(const Values *values) {
@@ -82,5 +98,7 @@ Settings settings_of(const Values *values) {
         int text = VARIABLE[i].kind == STRING;
         member[i - INPUTS] = text ? choice(values, i) : values->number[i];
     }
+    if (asks_for_experiment(values))
+        settings.solver_tolerance = values->tolerance * settings.chain_length;
     return settings;
 }

@@ -16,6 +16,7 @@ typedef struct {
     double number[SETTABLE];
     double slope[INPUTS];
     char text[STRINGS][TEXT_SIZE];
+    double tolerance; /* of the host's experiment; not a number: it has none */
 } Values;
 
 void take_start_values(Values *values);

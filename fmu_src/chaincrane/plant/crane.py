@@ -93,6 +93,11 @@ class CraneModel(ABC):
 
     @property
     @abstractmethod
+    def error_payload(self) -> float:
+        """Estimated time error of the payload's place, m, the largest since the start."""
+
+    @property
+    @abstractmethod
     def _state_names(self) -> Collection[str]:
         """Names of the numbers that the state begins with: a table of interface.py."""
 
@@ -132,7 +137,7 @@ class CraneModel(ABC):
         Raises BadState, the crane unchanged, where the size does not fit.
         """
         if len(state) != len(self.save()):
-            raise BadState("the saved state is of other chain.elements or solver.error_estimate")
+            raise BadState.of_other_settings()
         vectors = np.split(np.frombuffer(state, dtype="<f8").astype(float), len(self._save()))
         names = self._state_names
         numbers = dict(zip(names, vectors[0][: len(names)].tolist(), strict=True))

@@ -9,11 +9,13 @@ Initial, Numerics. The layout of a crane's state, which its twin in C has too, s
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
+from ..errors import BadValue
 from ..variables import count, from_values, output, rows
 from .command import Command
-from .parameters import Crane, Initial, Numerics
+from .parameters import TOLERANCES_FROM, Crane, Initial, Numerics
 
 MATERIAL_POINTS = 10  # of the chain that are outputs: chain.x[i], chain.y[i]
 
@@ -147,7 +149,7 @@ OUTPUTS = (
         "error.payload",
         "m",
         "estimated time error of the payload's place, the largest since the start, if"
-        " solver.error_estimate is on; linear: 0, it is exact",
+        " solver.error_estimate or solver.tolerance is on; linear: 0, it is exact",
     ),
     output("error.tension_top", "N", "the same of chain.tension_top"),
     output("error.trolley_fx", "N", "the same of trolley.fx"),
@@ -164,15 +166,38 @@ VARIABLES = INPUTS + PARAMETERS + OUTPUTS
 NAMES = tuple(variable.name for variable in VARIABLES)
 
 
-def settings(values: Mapping[str, Any]) -> tuple[Crane, Initial, Numerics]:
-    """A crane's parameters from the FMU's parameter values, by name; the rest is the default."""
-    return from_values(Crane, values), from_values(Initial, values), from_values(Numerics, values)
+EXPERIMENT_TOLERANCE_ALLOWED = (
+    "above 0 and below 1, as solver.tolerance_from = experiment asks for it"
+)
+
+
+def settings(
+    values: Mapping[str, Any], experiment: float | None = None
+) -> tuple[Crane, Initial, Numerics]:
+    """A crane's parameters from the FMU's parameter values, by name; the rest is the default.
+
+    ``experiment``: tolerance of the host's experiment, of the chain's length; None: it has none.
+    Raises BadValue where the parameters ask for it and it is not one.
+    """
+    crane, initial = from_values(Crane, values), from_values(Initial, values)
+    numerics = from_values(Numerics, values)
+    if numerics.tolerance_from == TOLERANCES_FROM[1]:
+        if experiment is None or not 0.0 < experiment < 1.0:
+            raise BadValue("tolerance of the experiment", experiment, EXPERIMENT_TOLERANCE_ALLOWED)
+        numerics = replace(numerics, tolerance=experiment * crane.chain.length)
+    return crane, initial, numerics
 
 
 # What is said, once, when error.predictable falls to 0.
 NOT_PREDICTABLE = (
     "error.payload has exceeded 0.005 of chain.length: the motion is not predictable from here on,"
     " a shorter solver.max_step gives another one"
+)
+
+# What is said, once, when solver.tolerance is not kept.
+TOLERANCE_NOT_KEPT = (
+    "error.payload exceeds solver.tolerance from here on: steps are as short as they can be made,"
+    " or more communication steps have been made than can be run anew"
 )
 
 # A state is one vector of doubles: these numbers first, by name, with their units; then arrays.
@@ -202,5 +227,17 @@ NONLINEAR_STATE = {
     "error_payload": "m, estimated time error, the largest since the start",
     "error_tension_top": "N, the same",
     "error_trolley_fx": "N, the same",
+}
+# After the nonlinear crane's own, where solver.tolerance is on; then the steps remembered.
+TOLERANCE_STATE = {
+    "level": "times that solver.max_step was halved",
+    "gave_up": "1: no run with shorter steps can be made any more",
+    "remembered": "communication steps since the start, which can be run anew",
+}
+PAST_STEP = {
+    "h": "s, its length",
+    **{row.symbol: row.unit or "" for row in INPUTS},
+    "trolley_v": "m/s, before it",
+    "trolley_gained": "m/s, before it",
 }
 LINEAR_STATE = {**SHARED_STATE, "trolley_fx": "N"}

@@ -25,7 +25,9 @@ from .interface import (
     NONLINEAR_STATE,
     OUTPUTS,
     PARAMETERS,
+    PAST_STEP,
     SHARED_STATE,
+    TOLERANCE_STATE,
 )
 from .ledger import Effort, Ledger
 from .parameters import Crane, Initial, Numerics, check
@@ -79,7 +81,7 @@ def layout() -> str:
     """A hash of all that this package and a compiled kernel hand each other."""
     parameters = [(row.name, row.kind, row.choices) for row in PARAMETERS]
     names = [[row.name for row in INPUTS], parameters, [row.name for row in OUTPUTS]]
-    states = [list(NONLINEAR_STATE), list(LINEAR_STATE)]
+    states = [list(one) for one in (NONLINEAR_STATE, TOLERANCE_STATE, PAST_STEP, LINEAR_STATE)]
     shared = repr((names, states, list(FAILURE), [(kind.name, kind.value) for kind in Outcome]))
     return sha256(shared.encode()).hexdigest()
 
@@ -113,10 +115,12 @@ def load_library(path: str | None = None) -> Any:
     library.crane_outputs.argtypes = [pointer, pointer]
     library.crane_notice.restype = ctypes.c_char_p
     library.crane_notice.argtypes = [pointer]
-    library.crane_state_count.restype = ctypes.c_size_t
-    library.crane_state_count.argtypes = [pointer]
-    library.crane_state.restype = ctypes.POINTER(number)
-    library.crane_state.argtypes = [pointer]
+    library.crane_shared.restype = ctypes.POINTER(number)
+    library.crane_shared.argtypes = [pointer]
+    library.crane_save.restype = ctypes.c_size_t
+    library.crane_save.argtypes = [pointer, pointer]
+    library.crane_load.restype = ctypes.c_int
+    library.crane_load.argtypes = [pointer, pointer, ctypes.c_size_t]
     return library
 
 
@@ -139,15 +143,14 @@ class NativeCrane:
         self._memory = (ctypes.c_double * (c.crane_memory(settings) // 8))()
         self._address = ctypes.addressof(self._memory)
         c.crane_create(self._address, settings)
-        self._count = c.crane_state_count(settings)
-        self._state = c.crane_state(self._address)
+        self._shared_state = c.crane_shared(self._address)
         self._command, self._failure = _Command(), _Failure()
         self._command_address = ctypes.addressof(self._command)
         self._failure_address = ctypes.addressof(self._failure)
         self._outputs = (ctypes.c_double * len(OUTPUTS))()
         self.start_time = 0.0  # s, the host's; only for messages
         self._c_step, self._c_outputs = c.crane_step, c.crane_outputs
-        self._c_notice = c.crane_notice
+        self._c_notice, self._c_save, self._c_load = c.crane_notice, c.crane_save, c.crane_load
 
     def _settings(self) -> ctypes.Structure:
         """The parameters as C takes them, by name; of a String the place of its choice."""
@@ -189,7 +192,7 @@ class NativeCrane:
 
     def _shared(self) -> dict[str, float]:
         """The numbers that every crane's state begins with, by name."""
-        return dict(zip(SHARED_STATE, self._state[: len(SHARED_STATE)], strict=True))
+        return dict(zip(SHARED_STATE, self._shared_state[: len(SHARED_STATE)], strict=True))
 
     @property
     def time(self) -> float:
@@ -236,13 +239,16 @@ class NativeCrane:
 
     def save(self) -> bytes:
         """The whole state, bit for bit, as the NumPy model saves it; parameters are not in it."""
-        return ctypes.string_at(self._state, 8 * self._count)
+        state = (ctypes.c_double * self._c_save(self._address, None))()
+        self._c_save(self._address, state)
+        return bytes(state)
 
     def load(self, state: bytes) -> None:
         """Restore what :meth:`save` gave, in a crane with the same parameters.
 
         Raises BadState, the crane unchanged, where the size does not fit.
         """
-        if len(state) != 8 * self._count:
-            raise BadState("the saved state is of other chain.elements or solver.error_estimate")
-        ctypes.memmove(self._state, state, len(state))
+        count = len(state) // 8
+        numbers = (ctypes.c_double * count).from_buffer_copy(state)
+        if len(state) % 8 or not self._c_load(self._address, numbers, count):
+            raise BadState.of_other_settings()

@@ -218,6 +218,11 @@ class LinearCrane(CraneModel):
         self._ledger = Ledger(start=self._energy(self._motion, self.trolley.v))
 
     @property
+    def error_payload(self) -> float:
+        """Estimated time error of the payload's place, m: none, each step is exact."""
+        return 0.0
+
+    @property
     def energy(self) -> float:
         """Mechanical energy above the rest position, J."""
         return self._energy(self._motion, self.trolley.v)
@@ -348,7 +353,7 @@ class LinearCrane(CraneModel):
             "chain.tension_top": float(self._tension[0]),
             "chain.tension_min": float(self._tension[-1]),
             "chain.slack_time": 0.0,
-            "error.payload": 0.0,
+            "error.payload": self.error_payload,
             "error.tension_top": 0.0,
             "error.trolley_fx": 0.0,
             "error.predictable": 1,

@@ -29,7 +29,7 @@ from .interface import LAST_COMMAND, NONLINEAR_STATE, NOT_PREDICTABLE
 from .jump import plain_jump, settled
 from .ledger import Effort, Ledger
 from .newmark import Newmark
-from .parameters import ERROR_ESTIMATES, Crane, Initial, Numerics
+from .parameters import Crane, Initial, Numerics
 from .scheme import Jump, Load, Motion, Scheme
 from .trolley import Trolley
 
@@ -89,8 +89,7 @@ class NonlinearCrane(CraneModel):
             scale=potential_energy(chain, r),
             trolley_fx=self._released_force(motion),
         )
-        with_companion = self.numerics.error_estimate != ERROR_ESTIMATES[0]
-        self._companion: NonlinearState | None = self._state if with_companion else None
+        self._companion = self._state if self.numerics.compares else None
 
     def _released_force(self, motion: Motion) -> float:
         """Force of the drive in the instant of release, N: node 0's row of dynamic equilibrium."""
@@ -112,6 +111,11 @@ class NonlinearCrane(CraneModel):
     def ledger(self) -> Ledger:
         """The energy ledger."""
         return self._state.ledger
+
+    @property
+    def error_payload(self) -> float:
+        """Estimated time error of the payload's place, m, the largest since the start."""
+        return self._error.payload
 
     @property
     def motion(self) -> Motion:

@@ -15,6 +15,7 @@ _MAX_ELEMENTS = 10_000
 SCHEMES = ("energy_momentum", "newmark")
 MASS_MATRICES = ("consistent", "averaged")
 ERROR_ESTIMATES = ("off", "companion")
+TOLERANCES_FROM = ("parameter", "experiment")
 _HALF_TURN = 3.1415926535897927  # rad, just below pi
 LAST_DIGIT = 2e-16  # of the length: a position's last digit
 UNSTEADY = 1e-3  # of the weight: what that digit may move a tension by
@@ -134,6 +135,28 @@ class Numerics:
         "companion: a second solution with steps twice as long tells the time error, for half the"
         " cost again or more; an even number of internal steps is taken then",
     )
+    tolerance: float = parameter(
+        "solver.tolerance",
+        "m",
+        0.0,
+        "of the payload's place in time: a companion is carried along; where error.payload comes"
+        " to half of it, all since the start is run anew with steps half as long, down to a"
+        " sixty-fourth of solver.max_step; 0: off. The linear crane is exact without",
+        minimum=0.0,
+        nominal=1e-4,
+    )
+    tolerance_from: str = choice(
+        "solver.tolerance_from",
+        TOLERANCES_FROM[0],
+        TOLERANCES_FROM,
+        "parameter: solver.tolerance; experiment: the tolerance of the host's experiment, of the"
+        " chain's length",
+    )
+
+    @property
+    def compares(self) -> bool:
+        """Whether a companion is carried along."""
+        return self.error_estimate != ERROR_ESTIMATES[0] or self.tolerance > 0.0
 
 
 # Maourane & Szabo (2020), section 2.3; the stiffness is ours, the paper gives none.
