@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import os
+import platform
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 from typing import NoReturn
 
-from . import compare, converge, plots, scenario, study
+from . import compare, converge, plots, scenario, shipped, study
 from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_setting
 from .errors import UserError, instead
 from .loop import ORDERS
@@ -254,7 +260,9 @@ def parser() -> argparse.ArgumentParser:
         "  chaincrane check --fmu some_other_crane.fmu",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    top.add_argument("--version", action="version", version=versions())
     commands = top.add_subparsers(metavar="COMMAND", required=True)
+    commands.add_parser("build", help="Build the FMUs, or copy those that came.", add_help=False)
 
     def command(name: str, action: object, example: str) -> argparse.ArgumentParser:
         text = (action.__doc__ or "").strip()
@@ -267,7 +275,11 @@ def parser() -> argparse.ArgumentParser:
         )
         sub.set_defaults(action=action)
         sub.add_argument(
-            "--fmus", type=Path, default=Path(), metavar="DIR", help="where the FMUs are (here)"
+            "--fmus",
+            type=Path,
+            default=shipped.fmus(),
+            metavar="DIR",
+            help="where the FMUs are (here; if there are none, those that came with chaincrane)",
         )
         return sub
 
@@ -275,13 +287,15 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--scenarios",
             type=Path,
-            default=Path("scenarios"),
+            default=shipped.scenarios(),
             metavar="DIR",
-            help="where the scenarios are (scenarios)",
+            help="where the scenarios are (scenarios; if there are none, chaincrane's own)",
         )
 
     run = command("run", command_run, "chaincrane run scenarios/paper_heavy")
-    run.add_argument("scenario", type=Path, nargs="+", help="a scenario's folder")
+    run.add_argument(
+        "scenario", type=Path, nargs="+", help="a scenario's folder, or the name of one of ours"
+    )
     run.add_argument("--out", type=Path, default=Path("results"), help="output folder (results)")
 
     converging = command(
@@ -353,11 +367,42 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+@contextmanager
+def own_temporary_folder() -> Iterator[None]:
+    """A temporary folder for this command and its workers, gone with it.
+
+    A worker that is stopped half-way leaves the FMU that it unpacked.
+    """
+    before = os.environ.get("TMPDIR")
+    with tempfile.TemporaryDirectory(prefix="chaincrane-", ignore_cleanup_errors=True) as folder:
+        tempfile.tempdir = os.environ["TMPDIR"] = folder
+        try:
+            yield
+        finally:
+            tempfile.tempdir = None
+            if before is None:
+                del os.environ["TMPDIR"]
+            else:
+                os.environ["TMPDIR"] = before
+
+
+def versions() -> str:
+    """Versions of what decides a result."""
+    ours, fmpy = metadata.version("chaincrane"), metadata.version("fmpy")
+    return f"chaincrane {ours} (FMPy {fmpy}, Python {platform.python_version()})"
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of the command; errors that a user can mend are one line."""
-    options = parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    if given[:1] == ["build"]:  # it alone needs the models, and what makes FMUs of them
+        from chaincrane_builder import command
+
+        return command.main(given[1:], "chaincrane build", shipped.FMUS)
+    options = parser().parse_args(given)
     try:
-        return int(options.action(options))
+        with own_temporary_folder():
+            return int(options.action(options))
     except UserError as error:
         print(f"chaincrane: {error}", file=sys.stderr)
     except BrokenPipeError:  # the reader has seen enough: chaincrane ... | head

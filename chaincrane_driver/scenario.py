@@ -10,6 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from . import shipped
 from .errors import UserError, instead
 from .simulate import Job
 from .tables import read_table
@@ -146,7 +147,11 @@ def checked_rules(path: Path, rules: dict[str, Any]) -> dict[str, dict[str, Any]
 
 
 def load(folder: Path) -> Scenario:
-    """Load the scenario of a folder. Raises UserError, naming the key that is missing or wrong."""
+    """Load the scenario of a folder, or the one of ours that has its name.
+
+    Raises UserError, naming the key that is missing or wrong.
+    """
+    folder = shipped.scenario(folder)
     path = folder / "scenario.toml"
     data = checked(path, "", read_toml(path), KEYS[""])
     experiment = checked(path, "experiment", data["experiment"], KEYS["experiment"])

@@ -11,3 +11,21 @@ _IN_WHEEL = HERE / "shipped"
 SCENARIOS = _IN_WHEEL / "scenarios" if _IN_WHEEL.exists() else CHECKOUT / "scenarios"
 TOLERANCES = SCENARIOS / "tolerances.toml"  # where a scenario's own folder gives none
 FMUS = _IN_WHEEL / "fmus"  # a checkout has none: its FMUs are built where they are asked for
+
+
+def fmus() -> Path:
+    """Where FMUs are looked for if nothing is said: here, or what came with chaincrane."""
+    here = Path()
+    return FMUS if FMUS.exists() and not any(here.glob("crane_*.fmu")) else here
+
+
+def scenarios() -> Path:
+    """Where scenarios are looked for if nothing is said: in the folder here, or ours."""
+    here = Path("scenarios")
+    return here if here.exists() else SCENARIOS
+
+
+def scenario(folder: Path) -> Path:
+    """A scenario's folder: that one, or ours of that name."""
+    ours = SCENARIOS / folder
+    return ours if not folder.exists() and len(folder.parts) == 1 and ours.exists() else folder

@@ -44,7 +44,7 @@ class Job:
 def describe(fmu: Path) -> ModelDescription:
     """The FMU's model description, validated by FMPy. Raises UserError."""
     if not fmu.exists():
-        raise UserError(f"{fmu}: no such FMU; build it with: python build_fmu.py")
+        raise UserError(f"{fmu}: no such FMU; build it with: chaincrane build")
     try:
         return read_model_description(str(fmu))
     except Exception as error:

@@ -179,7 +179,7 @@ def edited(tmp_path: Path, file: str, old: str, new: str) -> Path:
             ["nearest is 'payload.mass'"],
         ),
         ("scenario.toml", "0.42", "-0.42", ["payload.mass = -0.42 is not allowed", "above 0"]),
-        ("scenario.toml", "crane_nl.fmu", "crane_no.fmu", ["crane_no.fmu", "build_fmu.py"]),
+        ("scenario.toml", "crane_nl.fmu", "crane_no.fmu", ["crane_no.fmu", "chaincrane build"]),
         ("scenario.toml", '["payload.x_rel"', '["payload.x_re"', ["look_at", "'payload.x_re'"]),
         ("scenario.toml", '["payload.x_rel", "chain.mid_x_rel"]', '"payload.x_rel"', ["look_at"]),
         ("scenario.toml", '"crane_nl.fmu"', "5", ["fmu = 5 is not a text"]),

@@ -11,7 +11,8 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 from chaincrane.plant.kernel import KERNEL, PLATFORMS
@@ -82,22 +83,30 @@ def settings() -> str:
 
 
 def libraries(
-    sources: Mapping[str, bytes], name: str, flags: Sequence[str] = ()
+    sources: Mapping[str, bytes],
+    name: str,
+    flags: Sequence[str] = (),
+    say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, bytes]:
     """The library ``name`` of C files for every platform that this machine can make, by FMI's path.
 
-    Raises CalledProcessError, whose stderr says what does not compile.
+    ``say`` is told what is being compiled. Raises CalledProcessError, whose stderr says what does
+    not compile.
     """
+
+    def compiled(platform: str) -> bytes:
+        say(f"compiling C for {platform}, with {compiler()}")
+        if has_zig():
+            return zig_library(platform, sources, name, flags)
+        return cc_library(sources, flags)
+
     if has_zig():
         platforms = list(TARGETS)
-        made = (zig_library(platform, sources, name, flags) for platform in platforms)
     elif has_cc():
         platforms = [PLATFORMS[sys.platform][0]]
-        made = (cc_library(sources, flags) for _ in platforms)
     else:
         return {}
-    paths = (f"{platform}/{name}.{TARGETS[platform][1]}" for platform in platforms)
-    return dict(zip(paths, made, strict=True))
+    return {f"{one}/{name}.{TARGETS[one][1]}": compiled(one) for one in platforms}
 
 
 def zig_library(
@@ -145,7 +154,26 @@ def _object(file: str) -> str:
 
 
 def _run(command: Sequence[str], folder: Path) -> None:
-    subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    environment = {**os.environ, **_zig_cache()}
+    subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, env=environment)
+
+
+@cache
+def _zig_cache() -> dict[str, str]:
+    """Environment that lets zig keep what it has compiled, its own C library above all.
+
+    Where the usual folder cannot be written (no HOME, or somebody else's), zig fails or waits for
+    ever: then it is the temporary folder.
+    """
+    if "ZIG_GLOBAL_CACHE_DIR" in os.environ:
+        return {}
+    try:
+        usual = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+        (usual / "zig").mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=usual / "zig"):
+            return {}
+    except (OSError, RuntimeError):  # RuntimeError: no home
+        return {"ZIG_GLOBAL_CACHE_DIR": str(Path(tempfile.gettempdir(), "zig-cache"))}
 
 
 def _undated(dll: bytes) -> bytes:
@@ -154,9 +182,11 @@ def _undated(dll: bytes) -> bytes:
     return dll[:stamp] + bytes(4) + dll[stamp + 4 :]
 
 
-def kernel_libraries(crane: str) -> dict[str, bytes]:
+def kernel_libraries(
+    crane: str, say: Callable[[str], None] = lambda text: None
+) -> dict[str, bytes]:
     """The kernel of a crane's C file for every platform that can be made, by FMI's path."""
-    return libraries(included("kernel.c", crane), KERNEL)
+    return libraries(included("kernel.c", crane), KERNEL, say=say)
 
 
 def kernel_for_host(dest: Path, crane: str = "tolerance.c") -> Path:

@@ -9,7 +9,10 @@ from chaincrane.control import antisway_interface, observer_interface
 from chaincrane.plant import interface
 from chaincrane.variables import Variable
 
-SOURCES = Path(__file__).resolve().parent.parent  # fmu_src
+_HERE = Path(__file__).resolve().parent
+_IN_WHEEL = (_HERE / "fmu_src").exists()
+SOURCES = _HERE / "fmu_src" if _IN_WHEEL else _HERE.parent
+LICENCE = _HERE / "LICENSE" if _IN_WHEEL else SOURCES.parent / "LICENSE"
 NATIVE = "_native"  # ends the names of FMUs that are all C
 
 

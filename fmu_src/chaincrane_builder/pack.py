@@ -13,30 +13,37 @@ import re
 import sys
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime, timezone
-from functools import cache
 from hashlib import sha256
 from importlib.metadata import distribution, version
 from pathlib import Path
 
 from . import compile_c, icon, model_description
 from .c_header import SHARED_MODULES, interface_header
-from .fmus import FMUS, NATIVE, NATIVE_MODELS, SOURCES
+from .fmus import FMUS, LICENCE, NATIVE, NATIVE_MODELS, SOURCES
 
 PACKAGE, SLAVE = "chaincrane", "fmi_slave"
 EARLIEST = 315532800  # 1980-01-01, the first day that a zip file can name
 FMI_SLAVE_C = "fmi2_slave.c"
 
 
-def build(model: str, dest: Path, sources: Mapping[str, bytes] | None = None) -> Path:
+Say = Callable[[str], None]  # is told what is being done
+
+
+def build(
+    model: str,
+    dest: Path,
+    sources: Mapping[str, bytes] | None = None,
+    say: Say = lambda text: None,
+) -> Path:
     """Build one FMU into the folder ``dest``; its path. Raises CalledProcessError.
 
     ``sources``: other Python files than the tree's, as :func:`imported` gives them.
     """
     if model in NATIVE_MODELS:
-        return _build_native(model, dest)
-    return _build_python(model, dest, imported(model) if sources is None else sources)
+        return _build_native(model, dest, say)
+    return _build_python(model, dest, imported(model) if sources is None else sources, say)
 
 
 # --- what a Python FMU imports ------------------------------------------------------------------
@@ -86,24 +93,29 @@ def _absolute(file: Path, node: ast.ImportFrom) -> str:
 # --- building -----------------------------------------------------------------------------------
 
 
-@cache
-def _kernels(crane: str) -> dict[str, bytes]:
-    return {
-        f"resources/native/{path}": content
-        for path, content in compile_c.kernel_libraries(crane).items()
-    }
+_KERNELS: dict[str, dict[str, bytes]] = {}  # compiled once in a process, by the crane's C file
 
 
-def _build_python(model: str, dest: Path, sources: Mapping[str, bytes]) -> Path:
+def _kernels(crane: str, say: Say) -> dict[str, bytes]:
+    if crane not in _KERNELS:
+        _KERNELS[crane] = {
+            f"resources/native/{path}": content
+            for path, content in compile_c.kernel_libraries(crane, say).items()
+        }
+    return _KERNELS[crane]
+
+
+def _build_python(model: str, dest: Path, sources: Mapping[str, bytes], say: Say) -> Path:
     from pythonfmu.builder import FmuBuilder
 
     kernel = FMUS[model].kernel
-    kernels = _kernels(kernel) if kernel else {}
+    kernels = _kernels(kernel, say) if kernel else {}
     pythonfmu = f"pythonfmu {version('pythonfmu')}"
     tool = f"chaincrane, {pythonfmu}"
     carried = kernels | _licences("chaincrane", "pythonfmu")
     digest = _content_hash(model, tool, {**sources, **carried})
     tag = digest[:12]
+    say("packing")
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch, "src")
         folder.mkdir()
@@ -165,9 +177,9 @@ def _native_tool() -> str:
     return f"chaincrane, {compile_c.compiler()}"
 
 
-def _build_native(model: str, dest: Path) -> Path:
+def _build_native(model: str, dest: Path, say: Say) -> Path:
     sources, digest = native_sources(model)
-    libraries = compile_c.libraries(sources, model)
+    libraries = compile_c.libraries(sources, model, say=say)
     entries = {f"binaries/{name}": content for name, content in libraries.items()}
     entries |= {f"sources/{name}": content for name, content in sources.items()}
     return _finish(model, digest, entries | _licences("chaincrane"), _native_tool(), dest)
@@ -232,7 +244,7 @@ def _licences(*packages: str) -> dict[str, bytes]:
     found = {}
     for package in packages:
         if package == PACKAGE:
-            text = (SOURCES.parent / "LICENSE").read_bytes()
+            text = LICENCE.read_bytes()
         else:
             files = distribution(package).files or []
             text = next(file for file in files if file.name == "LICENSE").read_binary()
@@ -255,11 +267,14 @@ def _finish(model: str, digest: str, entries: dict[str, bytes], tool: str, dest:
 def _write_archive(path: Path, entries: dict[str, bytes], date: datetime) -> None:
     """Write a zip file whose bytes depend on its entries and date alone."""
     partial = path.with_suffix(".part")
-    with zipfile.ZipFile(partial, "w") as archive:
-        for name in sorted(entries):
-            info = zipfile.ZipInfo(name, date.timetuple()[:6])
-            info.compress_type = zipfile.ZIP_DEFLATED
-            info.create_system = 3  # the same on every system
-            info.external_attr = 0o644 << 16
-            archive.writestr(info, entries[name], compresslevel=9)
-    partial.replace(path)
+    try:
+        with zipfile.ZipFile(partial, "w") as archive:
+            for name in sorted(entries):
+                info = zipfile.ZipInfo(name, date.timetuple()[:6])
+                info.compress_type = zipfile.ZIP_DEFLATED
+                info.create_system = 3  # the same on every system
+                info.external_attr = 0o644 << 16
+                archive.writestr(info, entries[name], compresslevel=9)
+        partial.replace(path)
+    finally:  # a full disk or Ctrl-C leaves nothing half-written
+        partial.unlink(missing_ok=True)
