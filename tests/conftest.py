@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import inspect
 import json
+import shutil
 import subprocess
 import sys
+import tempfile
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,17 @@ from chaincrane_builder.pack import build  # noqa: E402
 STOP_AT = 1.0  # s, when the paper's trolley stops
 SPEED = 0.8  # m/s, until then
 PAYLOADS = {"heavy": 0.42, "light": 0.07}  # kg
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_litter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What tools leave in the temporary folder, FMUs unpacked by workers that died say, goes."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("temporary")
+        patch.setenv("TMPDIR", str(folder))
+        patch.setattr(tempfile, "tempdir", str(folder))
+        yield
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

@@ -228,13 +228,14 @@ def made_from(model: str) -> bytes:
     fmu = FMUS[model]
     crane = fmu.crane or fmu.kernel
     files = [SOURCES / name for name in imported(model.removesuffix(NATIVE))]
-    files += sorted(Path(__file__).parent.glob("*.py"))
     if crane is not None:
         root = FMI_SLAVE_C if fmu.crane else "kernel.c"
         files += [SOURCES / "native" / name for name in compile_c.included(root, crane)]
         files += [SOURCES / "native" / compile_c.NO_STARTUP, *SHARED_MODULES]
     files += sorted((SOURCES / "documentation").iterdir())
     names = {file.relative_to(SOURCES).as_posix(): file for file in files if file.exists()}
+    here = Path(__file__).parent
+    names |= {f"{here.name}/{file.name}": file for file in sorted(here.glob("*.py"))}
     lines = [f"{sha256(file.read_bytes()).hexdigest()}  fmu_src/{n}" for n, file in names.items()]
     return "\n".join([*sorted(lines, key=lambda line: line[64:]), ""]).encode()
 
