@@ -41,7 +41,7 @@ WORDS = {
 # Modules whose public constants are their C twins' too.
 SHARED_MODULES = (
     *sorted((SOURCES / "chaincrane" / "plant").glob("*.py")),
-    SOURCES / "fmi_slave.py",
+    SOURCES / "chaincrane" / "clock.py",
 )
 
 
@@ -206,6 +206,39 @@ def _structure(name: str, members: Mapping[str, str]) -> list[str]:
         for member, note in members.items()
     ]
     return ["typedef struct {", *rows, f"}} {name};", ""]
+
+
+# A function or an object that a header of ours announces, at the start of a line.
+_ANNOUNCED = re.compile(
+    r"^(?!static|typedef|enum|struct|return|else)(?:extern )?[A-Za-z][\w ]*?[ *]+(\w+)(?:\(|;)",
+    flags=re.MULTILINE,
+)
+
+
+def names_header(prefix: str, headers: Iterable[str]) -> str:
+    """names.h: all that ``headers`` announce gets a name of this library's alone, hidden in it."""
+    names = sorted({name for text in headers for name in _ANNOUNCED.findall(text)})
+    return "\n".join(
+        (
+            "/* Written by the build: do not edit. What is not FMI's is named after the library,",
+            "   so that two can be linked into one program, and it stays within the library. */",
+            "#ifndef NAMES_H",
+            "#define NAMES_H",
+            "",
+            "#if defined(__GNUC__) && !defined(_WIN32)",
+            '#define HIDDEN _Pragma("GCC visibility push(hidden)")',
+            '#define SHOWN _Pragma("GCC visibility pop")',
+            "#else",
+            "#define HIDDEN",
+            "#define SHOWN",
+            "#endif",
+            "",
+            *(f"#define {name} {prefix}_{name}" for name in names),
+            "",
+            "#endif",
+            "",
+        )
+    )
 
 
 def interface_header(

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from chaincrane.plant.kernel import KERNEL, PLATFORMS
 
-from .c_header import twins_header
+from .c_header import names_header, twins_header
 from .fmus import SOURCES
 
 NATIVE = SOURCES / "native"
@@ -43,10 +43,10 @@ NO_STARTUP = "no_startup.c"
 _INCLUDED = re.compile(r'^#include "(\w+)\.h"', flags=re.MULTILINE)
 
 
-def included(*roots: str) -> dict[str, bytes]:
-    """C files by name: the roots, the headers that they include, the files that those announce.
+def included(library: str, *roots: str) -> dict[str, bytes]:
+    """C files of a library, by name: the roots, the headers that they include, and those's files.
 
-    The header twins.h is written; others that are not here are the standard's.
+    The headers twins.h and names.h are written; others that are not here are the standard's.
     """
     found: dict[str, bytes] = {"twins.h": twins_header().encode()}
     waiting = list(roots)
@@ -57,6 +57,8 @@ def included(*roots: str) -> dict[str, bytes]:
         found[name] = (NATIVE / name).read_bytes()
         for stem in _INCLUDED.findall(found[name].decode()):
             waiting += [f"{stem}.h", f"{stem}.c"]
+    headers = [content.decode() for name, content in found.items() if name.endswith(".h")]
+    found["names.h"] = names_header(library, headers).encode()
     return dict(sorted(found.items()))
 
 
@@ -186,7 +188,7 @@ def kernel_libraries(
     crane: str, say: Callable[[str], None] = lambda text: None
 ) -> dict[str, bytes]:
     """The kernel of a crane's C file for every platform that can be made, by FMI's path."""
-    return libraries(included("kernel.c", crane), KERNEL, say=say)
+    return libraries(included(KERNEL, "kernel.c", crane), KERNEL, say=say)
 
 
 def kernel_for_host(dest: Path, crane: str = "tolerance.c") -> Path:
@@ -195,7 +197,7 @@ def kernel_for_host(dest: Path, crane: str = "tolerance.c") -> Path:
     Raises CalledProcessError, or FileNotFoundError where there is no compiler.
     """
     platform, suffix = PLATFORMS[sys.platform]
-    sources = included("kernel.c", crane)
+    sources = included(KERNEL, "kernel.c", crane)
     content = zig_library(platform, sources, KERNEL) if has_zig() else cc_library(sources)
     library = dest / f"{KERNEL}.{suffix}"
     dest.mkdir(parents=True, exist_ok=True)

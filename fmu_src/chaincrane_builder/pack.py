@@ -160,7 +160,7 @@ def native_sources(model: str) -> tuple[dict[str, bytes], str]:
     fmu = FMUS[model]
     assert fmu.crane is not None
     standard = sorted((Path(fmpy.__file__).parent / "c-code").glob("fmi2*.h"))
-    sources = compile_c.included(FMI_SLAVE_C, fmu.crane)
+    sources = compile_c.included(model, FMI_SLAVE_C, fmu.crane)
     sources |= {file.name: file.read_bytes() for file in standard}
 
     def header(digest: str) -> bytes:
@@ -216,7 +216,7 @@ def _described(model: str, digest: str, date: str, tool: str) -> dict[str, bytes
 def _c_files(model: str) -> list[str]:
     crane = FMUS[model].crane
     assert crane is not None
-    return [name for name in compile_c.included(FMI_SLAVE_C, crane) if name.endswith(".c")]
+    return [name for name in compile_c.included(model, FMI_SLAVE_C, crane) if name.endswith(".c")]
 
 
 def made_from(model: str) -> bytes:

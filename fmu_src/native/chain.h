@@ -10,7 +10,10 @@
 
 #include <math.h>
 
+#include "names.h"
 #include "twins.h"
+
+HIDDEN
 
 typedef struct {
     double x, y;
@@ -136,5 +139,7 @@ double interpolate(const Chain *c, const double *nodal, int stride, double fract
 double material_fraction(int point);
 
 enum { POINTS = MATERIAL_POINTS + 1 };
+
+SHOWN
 
 #endif

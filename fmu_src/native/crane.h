@@ -10,6 +10,9 @@
 #include <stddef.h>
 
 #include "chain.h"
+#include "names.h"
+
+HIDDEN
 
 typedef struct {
     size_t (*memory)(const Settings *settings);
@@ -70,5 +73,7 @@ typedef struct {
 /* All outputs but those that each crane has in its own way, which stay not a number. */
 void shared_outputs(const SharedState *state, const Posture *posture, double energy,
                     Outputs *outputs);
+
+SHOWN
 
 #endif

@@ -3,8 +3,13 @@
 #ifndef ENERGY_MOMENTUM_H
 #define ENERGY_MOMENTUM_H
 
+#include "names.h"
 #include "scheme.h"
 
+HIDDEN
+
 extern const Scheme ENERGY_MOMENTUM_SCHEME;
+
+SHOWN
 
 #endif

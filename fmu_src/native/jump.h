@@ -3,7 +3,10 @@
 #ifndef JUMP_H
 #define JUMP_H
 
+#include "names.h"
 #include "scheme.h"
+
+HIDDEN
 
 Jump plain_jump;
 Jump filtered_jump;
@@ -11,5 +14,7 @@ Jump filtered_jump;
 /* ``motion`` with the elements at the lengths of now + share (tension - now), N, into work->end; now
    is the elastic tension, and tension stands in work->end.tension. */
 void settled(Workspace *work, const Motion *motion, double share);
+
+SHOWN
 
 #endif

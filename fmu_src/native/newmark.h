@@ -3,8 +3,13 @@
 #ifndef NEWMARK_H
 #define NEWMARK_H
 
+#include "names.h"
 #include "scheme.h"
 
+HIDDEN
+
 extern const Scheme NEWMARK_SCHEME;
+
+SHOWN
 
 #endif

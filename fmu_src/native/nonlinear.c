@@ -351,7 +351,7 @@ static int load(void *memory, const double *state, size_t count) {
 
 /* Force of the drive in the instant of release, N: node 0's row of dynamic equilibrium. */
 static double released_force(Workspace *work, const State *s) {
-    static const Command idle = {0.0};
+    static const Command idle;
     const Chain *c = &work->chain;
     const Motion *motion = &s->motion;
     int n = c->n, hangs = c->settings.initial_sway_angle == 0.0; /* in balance */

@@ -6,7 +6,10 @@
 
 #include <stddef.h>
 
+#include "names.h"
 #include "start_values.h"
+
+HIDDEN
 
 typedef struct {
     int phase;
@@ -27,5 +30,7 @@ const char *load_state(const unsigned char *bytes, size_t size, Snapshot *snapsh
                        const unsigned char **model, size_t *model_count, char foreign[256]);
 
 void read_doubles(const unsigned char *bytes, double *values, size_t count);
+
+SHOWN
 
 #endif

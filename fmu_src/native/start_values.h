@@ -5,7 +5,10 @@
 #define START_VALUES_H
 
 #include "interface.h"
+#include "names.h"
 #include "twins.h"
+
+HIDDEN
 
 /* Bytes, ends included: of a String's value, of a message. */
 enum { TEXT_SIZE = 64, MESSAGE_SIZE = 512 };
@@ -31,5 +34,7 @@ int bad_parameter(const Values *values, char message[MESSAGE_SIZE]);
 
 /* The parameters as a crane takes them. */
 Settings settings_of(const Values *values);
+
+SHOWN
 
 #endif
