@@ -178,17 +178,17 @@ int main(int count, char **arguments) {
     static Parts whole, alone, seen;
     for (int part = 0; part < PARTS; part++)
         whole.least[part] = alone.least[part] = seen.least[part] = INFINITY;
-    int most_steps = 0, most_iterations = 0;
+    double most_steps = 0.0, most_iterations = 0.0;
     for (int round = 0; round < rounds; round++) {
         begin(&fmu, c, starts, arguments + 6);
         for (int i = 0; i < steps; i++) { /* each step by itself */
-            int effort[2];
+            double effort[2];
             double started = now();
             fmu_step(&fmu, c, i, commands[i]);
             double took = now() - started;
             if (took < least[i]) least[i] = took;
             if (took > largest) largest = took;
-            fmu.get_integer(c, EFFORT, 2, effort);
+            fmu.get_real(c, EFFORT, 2, effort);
             if (effort[0] > most_steps) most_steps = effort[0];
             if (effort[1] > most_iterations) most_iterations = effort[1];
         }
@@ -202,7 +202,7 @@ int main(int count, char **arguments) {
         free(memory);
     }
     qsort(least, (size_t)steps, sizeof *least, ascending);
-    printf("%g %g %g %d %d %g %g %g\n", 1e6 * least[steps / 2], 1e6 * least[steps - 1],
+    printf("%g %g %g %g %g %g %g %g\n", 1e6 * least[steps / 2], 1e6 * least[steps - 1],
            1e6 * largest, most_iterations, most_steps, nanoseconds_a_step(&whole, steps),
            nanoseconds_a_step(&alone, steps), nanoseconds_a_step(&seen, steps));
     return 0;

@@ -669,6 +669,7 @@ def test_the_xml_is_complete(fmus: Path, model: str) -> None:
     }
     units = {unit.get("name"): unit.find("BaseUnit") for unit in root.iter("Unit")}
     assert all(base is not None and base.attrib for base in units.values())
+    assert set(units) == {row.unit for row in VARIABLES} - {None}
     variables = list(root.iter("ScalarVariable"))
     assert [v.get("name") for v in variables] == [v.name for v in VARIABLES]
     for variable, row in zip(variables, VARIABLES, strict=True):
@@ -677,7 +678,7 @@ def test_the_xml_is_complete(fmus: Path, model: str) -> None:
         assert bool(variable.get("initial")) == (row.causality != "input"), row.name
         real = variable.find("Real")
         if real is not None:
-            assert real.get("unit") in units, row.name
+            assert real.get("unit") == row.unit and (row.unit is None or row.unit in units), row.name
             assert real.get("nominal") is not None, row.name
         if row.causality == "parameter" and row.kind != "String" and row.name != "initial.speed":
             assert variable[0].get("min") is not None, row.name

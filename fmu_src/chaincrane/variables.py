@@ -33,6 +33,7 @@ class Variable:
     minimum: float | None = None
     maximum: float | None = None
     nominal: float | None = None
+    discrete: bool = False  # a Real that jumps, as a count does
     choices: tuple[str, ...] = ()  # of a String
     words: str | None = None  # what is allowed, where the range does not say it well
     starts_from: tuple[str, ...] = ()  # parameters that an output's first value depends on
@@ -112,8 +113,8 @@ def output(name: str, unit: str | None, meaning: str, **more: Any) -> Variable:
 
 
 def count(name: str, meaning: str) -> Variable:
-    """An Integer output, 0 or above."""
-    return output(name, None, meaning, kind="Integer", minimum=0)
+    """An output that counts, 0 or above. A Real: there are tools that read every output as one."""
+    return output(name, None, meaning, minimum=0.0, discrete=True)
 
 
 def rows(settings: Any) -> tuple[Variable, ...]:

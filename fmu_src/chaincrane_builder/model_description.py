@@ -29,7 +29,7 @@ DEFAULT_EXPERIMENT = {
 
 def _variable_element(variable: Variable, reference: int) -> Element:
     output = variable.causality == "output"
-    if variable.kind == "Real" and variable.causality != "parameter":
+    if variable.kind == "Real" and variable.causality != "parameter" and not variable.discrete:
         variability = "continuous"
     else:
         variability = "discrete" if output else "fixed"
@@ -60,9 +60,13 @@ def _variable_element(variable: Variable, reference: int) -> Element:
     return element
 
 
-def _unit_definitions() -> Element:
+def _unit_definitions(fmu: Fmu) -> Element:
+    """The units that its variables have."""
     element = Element("UnitDefinitions")
+    used = {variable.unit for variable in fmu.variables}
     for name, exponents in UNITS.items():
+        if name not in used:
+            continue
         unit = SubElement(element, "Unit", {"name": name})
         SubElement(unit, "BaseUnit", {base: str(power) for base, power in exponents.items()})
         if name == "rad":
@@ -152,7 +156,7 @@ def model_description(
         files = SubElement(simulation, "SourceFiles")
         for name in c_files:
             SubElement(files, "File", {"name": name})
-    root.append(_unit_definitions())
+    root.append(_unit_definitions(fmu))
     categories = SubElement(root, "LogCategories")
     for name, meaning in LOG_CATEGORIES.items():
         SubElement(categories, "Category", {"name": name, "description": meaning})

@@ -74,7 +74,6 @@ _Command = _structure("Command", (row.symbol for row in INPUTS))
 _Failure = _structure("Failure", FAILURE)
 _COMMAND_FIELDS = tuple(field.name for field in fields(Command))
 _OUTPUT_NAMES = tuple(row.name for row in OUTPUTS)
-_WHOLE = tuple(place for place, row in enumerate(OUTPUTS) if row.kind == "Integer")
 
 
 def layout() -> str:
@@ -228,10 +227,7 @@ class NativeCrane:
     def output_values(self) -> list[float]:
         """All outputs in the interface's order, in SI units."""
         self._c_outputs(self._address, self._outputs)
-        values = list(self._outputs)
-        for place in _WHOLE:
-            values[place] = int(values[place])
-        return values
+        return list(self._outputs)
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
