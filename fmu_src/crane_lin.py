@@ -16,6 +16,7 @@ class crane_lin(FmiSlave):
 
     variables = VARIABLES
     inputs = Command
+    step_unit = "solver.max_step"
 
     def make_model(self, parameters: dict[str, Any]) -> Model:
         """The linear crane; raises CraneError for what is not allowed."""

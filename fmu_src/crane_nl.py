@@ -27,6 +27,7 @@ class crane_nl(FmiSlave):
 
     variables = VARIABLES
     inputs = Command
+    step_unit = "solver.max_step"
     _warned = False
 
     def make_model(self, parameters: dict[str, Any]) -> Model:

@@ -14,18 +14,18 @@ import json
 import os
 import sys
 from hashlib import sha256
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import Any, Protocol
 
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
+from chaincrane import clock
 from chaincrane.build_info import SOURCES
 from chaincrane.errors import BadState, BadValue, CraneError
-from chaincrane.variables import Variable
+from chaincrane.variables import FINITE, Variable
 
 STATE_MAGIC = b"chaincrane state 1\n"
-TIME_TOLERANCE = 1e-9  # of the time reached: hosts add up their steps with round-off
 
 
 def mend_import(namespace: dict[str, Any]) -> None:
@@ -44,7 +44,7 @@ def mend_import(namespace: dict[str, Any]) -> None:
 
 
 class Model(Protocol):
-    """What a slave runs."""
+    """What a slave runs. It replaces what it holds, and edits none of it in place."""
 
     start_time: float  # s, the host's; only for messages
 
@@ -72,6 +72,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
 
     variables: tuple[Variable, ...]
     inputs: type  # a dataclass with a field for each input, the name of which is the row's symbol
+    step_unit: str | None = None  # parameter, s: a step that is a whole number of it is meant so
 
     def make_model(self, parameters: dict[str, Any]) -> Model:
         """The model for parameter values by name; raises CraneError for what is not allowed."""
@@ -96,10 +97,13 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             for variable in self.variables[self._first_output :]
         ]
         self._values = [variable.start for variable in self.variables]
+        units = [place for place, variable in places if variable.name == self.step_unit]
+        self._step_unit = units[0] if units else None
         self._model: Model | None = None
         self._observed = False
         self._phase = "instantiated"
         self._start = self._time = 0.0
+        self._stop = inf  # s, beyond which no step may go
         self.tolerance: float | None = None  # of the host's experiment; None: it has none
         self._fault: str | None = None
         self._refusal: str | None = None
@@ -111,11 +115,17 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     def setup_experiment(
         self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
     ) -> None:
-        """Keep start time and tolerance; the stop time does not matter to the models."""
-        if not isfinite(start_time):
+        """Keep start time, stop time and tolerance."""
+        if self._phase != "instantiated":
+            self._refuse("an experiment can be set up only before initialisation mode")
+        elif not isfinite(start_time):
             self._refuse(str(BadValue("start time", start_time, "a finite number, s")))
-        elif self._phase != "stepping":
+        elif stop_time is not None and not (isfinite(stop_time) and stop_time >= start_time):
+            allowed = "a finite number, s, not before the start time"
+            self._refuse(str(BadValue("stop time", stop_time, allowed)))
+        else:
             self._start = self._time = start_time
+            self._stop = inf if stop_time is None else stop_time
             self.tolerance = tolerance
             self._model, self._observed = None, False
 
@@ -151,7 +161,12 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
 
     def terminate(self) -> None:
         """Nothing to release; a step after this is refused."""
-        self._phase = "terminated"
+        if self._phase == "stepping":
+            self._phase = "terminated"
+        else:
+            self._refuse(
+                f"only an initialised instance can be terminated; this one is {self._phase}"
+            )
 
     def _step(self, current_time: float, step_size: float) -> None:
         if self._fault is not None:
@@ -161,18 +176,47 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             raise CraneError(refusal)
         if self._phase != "stepping" or self._model is None:
             raise CraneError(f"a step needs an initialised instance; this one is {self._phase}")
-        if not abs(current_time - self._time) <= TIME_TOLERANCE * max(1.0, abs(self._time)):
+        if not clock.is_now(current_time, self._time, step_size):
             allowed = f"the time reached, {self._time!r} s"
             raise BadValue("current communication point", current_time, allowed)
+        end = current_time + step_size
+        if clock.is_beyond(end, self._stop, step_size):
+            raise BadValue("end of the step", end, f"at most the stop time, {self._stop!r} s")
         values = self._values
         told = self.inputs(**{symbol: values[place] for place, symbol in self._told})
-        self._model.step(step_size, told)
-        self._time = current_time + step_size
-        self._observed = False
+        self._advance(self._model, self._meant(current_time, step_size), told)
+        self._time = end
         notice = self._model.notice()
         if notice is not None and not self._noticed:
             self.log(f"at t = {self._time:.6g} s: {notice}", Fmi2Status.warning, "logStatusWarning")
             self._noticed = True
+
+    def _meant(self, current_time: float, step_size: float) -> float:
+        """The step size without the round-off of the host's times."""
+        if self._step_unit is None:
+            return step_size
+        unit: Any = self._values[self._step_unit]
+        return clock.meant_step(current_time, step_size, unit)
+
+    def _advance(self, model: Model, step_size: float, told: Any) -> None:
+        """A step that ends in finite outputs; else BadValue, and the model as it was."""
+        kept = vars(model).copy()
+        try:
+            model.step(step_size, told)
+            self._look(model, "inputs and a step that keep it finite")
+        except Exception:
+            vars(model).update(kept)
+            raise
+
+    def _look(self, model: Model, allowed: str) -> None:
+        """Read the model's outputs; BadValue where one is not a finite number."""
+        seen = model.output_values()
+        if not all(map(isfinite, seen)):
+            place = next(i for i, value in enumerate(seen) if not isfinite(value))
+            name = self.variables[self._first_output + place].name
+            raise BadValue(name, seen[place], allowed)
+        self._values[self._first_output :] = seen
+        self._observed = True
 
     def _build(self) -> None:
         """Make the model from the parameters; a bad one becomes a fault."""
@@ -181,6 +225,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         try:
             self._model = self.make_model(values)
             self._model.start_time = self._start
+            self._look(self._model, "parameters that keep it finite")
         except Exception as error:
             self._model = None
             self._fail(error)
@@ -254,14 +299,14 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             self._build()
             if self._phase != "stepping":
                 self._fault = None  # start values may still be mended
-        self._observed = True
-        seen = self._no_outputs
-        if self._model is not None:
+        elif self._model is not None:
             try:
-                seen = self._model.output_values()
+                self._look(self._model, FINITE)
             except Exception as error:
                 self._fail(error)
-        self._values[self._first_output :] = seen
+        if not self._observed:
+            self._values[self._first_output :] = self._no_outputs
+            self._observed = True
 
     # --- errors -------------------------------------------------------------------------------
 

@@ -30,6 +30,9 @@ typedef struct {
     size_t (*save)(const void *memory, double *state);
     /* Restore what ``save`` gave; 0, the crane as it was, where it is of other settings. */
     int (*load)(void *memory, const double *state, size_t count);
+    /* The same for what the next step changes, which is less where a state holds its past. */
+    size_t (*keep)(const void *memory, double *kept);
+    int (*undo)(void *memory, const double *kept, size_t count);
     /* Longest part, s, of a communication step that is stepped in one go: an input that changes within
        the step is held at its mean over each such part. */
     double (*longest_part)(const Settings *settings);

@@ -11,6 +11,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "clock.h"
 #include "crane.h"
 #include "saved_state.h"
 #include "start_values.h"
@@ -37,9 +38,10 @@ typedef struct {
     unsigned logged; /* a bit for each of LOG_CATEGORY */
     Phase phase;
     double time; /* s, reached */
+    double stop; /* s, beyond which no step may go */
     Values values;
-    void *memory;   /* the model's, or NULL: there is none */
-    double *before; /* room for the model's state: before a step in parts, or one to be restored */
+    void *memory; /* the model's, or NULL: there is none */
+    double *kept; /* room for a state of the model: before a step, or to be restored */
     int observed, noticed;
     Outputs seen;
     fmi2Status last_step;
@@ -66,11 +68,22 @@ static fmi2Status refuse(const Instance *c, const char *message) {
 
 /* ---- the model ---- */
 
+/* The first output that is not a finite number, in words; 0: all are. */
+static int bad_output(const Outputs *outputs, const char *allowed, char message[MESSAGE_SIZE]) {
+    for (int i = 0; i < OUTPUTS; i++) {
+        double value = ((const double *)outputs)[i];
+        if (is_finite(value)) continue;
+        bad_number(message, VARIABLE[SETTABLE + i].name, value, allowed);
+        return 1;
+    }
+    return 0;
+}
+
 static void drop_model(Instance *c) {
     free(c->memory);
-    free(c->before);
+    free(c->kept);
     c->memory = NULL;
-    c->before = NULL;
+    c->kept = NULL;
     c->observed = 0;
 }
 
@@ -80,22 +93,28 @@ static int build(Instance *c, char message[MESSAGE_SIZE]) {
     if (bad_parameter(&c->values, message)) return 0;
     Settings chosen = settings_of(&c->values);
     c->memory = malloc(CRANE.memory(&chosen));
-    c->before = malloc(CRANE.state_count(&chosen) * sizeof(double));
-    if (!c->memory || !c->before) {
+    c->kept = malloc(CRANE.state_count(&chosen) * sizeof(double));
+    if (!c->memory || !c->kept) {
         drop_model(c);
         snprintf(message, MESSAGE_SIZE, "no memory for chain.elements = %.0f",
                  chosen.chain_elements);
         return 0;
     }
     CRANE.create(c->memory, &chosen);
+    CRANE.outputs(c->memory, &c->seen);
+    if (bad_output(&c->seen, "parameters that keep it finite", message)) {
+        drop_model(c);
+        return 0;
+    }
+    c->observed = 1;
     return 1;
 }
 
 /* Read the model's outputs; without a model they are not a number, and no zeros. */
 static fmi2Status observe(Instance *c) {
     char message[MESSAGE_SIZE];
+    if (c->memory) CRANE.outputs(c->memory, &c->seen);
     if (c->memory || build(c, message)) {
-        CRANE.outputs(c->memory, &c->seen);
         c->observed = 1;
         return fmi2OK;
     }
@@ -103,11 +122,12 @@ static fmi2Status observe(Instance *c) {
     return refuse(c, message);
 }
 
-/* errors.py: why the model's step failed. */
-static void describe_failure(Outcome outcome, const Failure *failure, char message[MESSAGE_SIZE]) {
+/* errors.py: why the model's step failed; ``start``: s, the host's time when the model's was 0. */
+static void describe_failure(Outcome outcome, const Failure *failure, double start,
+                             char message[MESSAGE_SIZE]) {
     char t[NUMBER_SIZE], h[NUMBER_SIZE], defect[NUMBER_SIZE], scale[NUMBER_SIZE];
     char allowed[NUMBER_SIZE];
-    text_general(t, 6, failure->time);
+    text_general(t, 6, start + failure->time);
     text_general(h, 3, failure->h);
     text_general(defect, 3, failure->defect);
     text_general(scale, 3, failure->scale);
@@ -188,18 +208,17 @@ static int bad_step(const Instance *c, double h, char message[MESSAGE_SIZE]) {
     return 0;
 }
 
-/* Advance by dt, t after the step's start. */
+/* Advance by dt, t after the step's start; where that fails the caller has the state before. */
 static Outcome advance(Instance *c, double t, double dt, Failure *failure) {
     SharedState *state = shared(c);
     Command command = command_at(c, t, dt);
     double slope = c->values.slope[VR_TROLLEY_V_CMD], a_cmd = command.trolley_a_cmd;
-    double before = state->trolley_v, gained = state->trolley_gained;
-    double v = commanded(state, &command), away = fabs(v - before);
+    double gained = state->trolley_gained;
+    double v = commanded(state, &command), away = fabs(v - state->trolley_v);
     if (away > 0.0 && away <= CONTINUES * fabs(v)) state->trolley_v = v; /* round-off */
     command.trolley_a_cmd += slope;
     Outcome outcome = CRANE.step(c->memory, dt, &command, failure);
-    if (outcome != DONE) state->trolley_v = before;
-    else if (slope != 0.0) state->trolley_gained = gained + dt * a_cmd;
+    if (outcome == DONE && slope != 0.0) state->trolley_gained = gained + dt * a_cmd;
     return outcome;
 }
 
@@ -209,13 +228,9 @@ static Outcome advance_in_parts(Instance *c, double h, Failure *failure) {
     double steps = 0.0, iterations = 0.0, impulse = 0.0;
     Settings settings = settings_of(&c->values);
     double count = equal_parts(h, CRANE.longest_part(&settings));
-    size_t saved = CRANE.save(c->memory, c->before);
     for (double i = 0.0; i < count; i += 1.0) {
         Outcome outcome = advance(c, i * h / count, h / count, failure);
-        if (outcome != DONE) {
-            CRANE.load(c->memory, c->before, saved);
-            return outcome;
-        }
+        if (outcome != DONE) return outcome;
         if (i == 0.0)
             impulse = state->trolley_impulse; /* where the step's jump is, if there is one */
         steps += state->steps;
@@ -225,6 +240,24 @@ static Outcome advance_in_parts(Instance *c, double h, Failure *failure) {
     state->iterations = iterations;
     state->trolley_impulse = impulse;
     return DONE;
+}
+
+/* Advance by h, with its outputs; 0, in words, the state as it was, where that cannot be done. */
+static int step(Instance *c, double h, char message[MESSAGE_SIZE]) {
+    SharedState *state = shared(c);
+    Failure failure = {0.0, h, 0.0, 0.0, 0.0};
+    size_t count = CRANE.keep(c->memory, c->kept);
+    Outcome outcome =
+        has_mean_slopes(c) ? advance_in_parts(c, h, &failure) : advance(c, 0.0, h, &failure);
+    if (outcome == DONE) {
+        CRANE.outputs(c->memory, &c->seen);
+        c->observed = 1;
+        if (!bad_output(&c->seen, "inputs and a step that keep it finite", message)) return 1;
+    }
+    CRANE.undo(c->memory, c->kept, count);
+    c->observed = 0;
+    if (outcome != DONE) describe_failure(outcome, &failure, c->time - state->time, message);
+    return 0;
 }
 
 /* ---- creation, and the phases of an instance ---- */
@@ -238,8 +271,16 @@ static void start_anew(Instance *c) {
     take_start_values(&c->values);
     c->phase = INSTANTIATED;
     c->time = 0.0;
+    c->stop = INFINITY;
     c->noticed = 0;
     c->last_step = fmi2OK;
+}
+
+static void release(Instance *c) {
+    if (!c) return;
+    drop_model(c);
+    free(c->name);
+    free(c);
 }
 
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
@@ -268,20 +309,14 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         wrong = "the guid is not this FMU's, " MODEL_GUID ": XML and binary do not belong together";
     if (wrong) {
         refuse(c, wrong);
-        fmi2FreeInstance(c);
+        release(c);
         return NULL;
     }
     start_anew(c);
     return c;
 }
 
-void fmi2FreeInstance(fmi2Component component) {
-    Instance *c = component;
-    if (!c) return;
-    drop_model(c);
-    free(c->name);
-    free(c);
-}
+void fmi2FreeInstance(fmi2Component component) { release(component); }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
@@ -305,17 +340,22 @@ fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean toleranceDef
                                fmi2Real tolerance, fmi2Real startTime, fmi2Boolean stopTimeDefined,
                                fmi2Real stopTime) {
     Instance *c = component;
-    (void)stopTimeDefined, (void)stopTime;
+    char message[MESSAGE_SIZE];
     if (!c) return fmi2Error;
+    if (c->phase != INSTANTIATED)
+        return refuse(c, "an experiment can be set up only before initialisation mode");
     if (!is_finite(startTime)) {
-        char message[MESSAGE_SIZE];
         bad_number(message, "start time", startTime, "a finite number, s");
         return refuse(c, message);
     }
-    if (c->phase == STEPPING) return fmi2OK;
+    if (stopTimeDefined && !(is_finite(stopTime) && stopTime >= startTime)) {
+        bad_number(message, "stop time", stopTime, "a finite number, s, not before the start time");
+        return refuse(c, message);
+    }
     c->time = startTime;
+    c->stop = stopTimeDefined ? stopTime : INFINITY;
     c->values.tolerance = toleranceDefined ? tolerance : NAN;
-    if (c->phase == INITIALISING) drop_model(c); /* it was made to be looked at */
+    drop_model(c); /* one may have been made to be looked at */
     return fmi2OK;
 }
 
@@ -341,7 +381,14 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component component) {
 
 fmi2Status fmi2Terminate(fmi2Component component) {
     Instance *c = component;
+    char message[MESSAGE_SIZE];
     if (!c) return fmi2Error;
+    if (c->phase != STEPPING) {
+        snprintf(message, sizeof message,
+                 "only an initialised instance can be terminated; this one is %s",
+                 PHASES[c->phase]);
+        return refuse(c, message);
+    }
     c->phase = TERMINATED;
     return fmi2OK;
 }
@@ -472,10 +519,9 @@ fmi2Status fmi2SetString(fmi2Component component, const fmi2ValueReference vr[],
     Instance *c = component;
     if (!c || (nvr && (!vr || !value))) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
-        char text[TEXT_SIZE + 2], message[MESSAGE_SIZE];
+        char text[QUOTED_SIZE], message[MESSAGE_SIZE];
         const char *given = value[i] ? value[i] : "";
-        snprintf(text, sizeof text, "'%s'", given);
-        fmi2Status status = check_set(c, STRING, vr[i], text);
+        fmi2Status status = check_set(c, STRING, vr[i], text_quoted(text, given));
         if (status != fmi2OK) return status;
         if (strlen(given) >= TEXT_SIZE) {
             not_allowed(message, VARIABLE[vr[i]].name, text, VARIABLE[vr[i]].allowed);
@@ -556,23 +602,22 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real currentCommunicationPoin
         return c->last_step = refuse(c, message);
     }
     if (!c->memory && !build(c, message)) return c->last_step = refuse(c, message);
-    if (!(fabs(at - c->time) <= TIME_TOLERANCE * fmax(1.0, fabs(c->time)))) {
+    if (!is_now(at, c->time, h)) {
         char reached[NUMBER_SIZE], allowed[NUMBER_SIZE + 32];
         snprintf(allowed, sizeof allowed, "the time reached, %s s", text_repr(reached, c->time));
         bad_number(message, "current communication point", at, allowed);
         return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
     }
-    if (bad_step(c, h, message))
-        return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
-    Failure failure = {0.0, h, 0.0, 0.0, 0.0};
-    Outcome outcome =
-        has_mean_slopes(c) ? advance_in_parts(c, h, &failure) : advance(c, 0.0, h, &failure);
-    if (outcome != DONE) {
-        describe_failure(outcome, &failure, message);
-        return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
+    if (is_beyond(at + h, c->stop, h)) {
+        char stop[NUMBER_SIZE], allowed[NUMBER_SIZE + 64];
+        snprintf(allowed, sizeof allowed, "at most the stop time, %s s", text_repr(stop, c->stop));
+        bad_number(message, "end of the step", at + h, allowed);
+        return c->last_step = refuse(c, message);
     }
+    double meant = meant_step(at, h, c->values.number[VR_SOLVER_MAX_STEP]);
+    if (bad_step(c, h, message) || !step(c, meant, message))
+        return c->last_step = say(c, fmi2Discard, LOG_STATUS_DISCARD, message);
     c->time = at + h;
-    c->observed = 0;
     give_notice(c);
     return c->last_step = fmi2OK;
 }
@@ -642,10 +687,10 @@ static int make_room(fmi2FMUstate *state, size_t size) {
 fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *FMUstate) {
     Instance *c = component;
     if (!c || !FMUstate) return fmi2Error;
-    size_t count = c->memory ? CRANE.save(c->memory, c->before) : 0;
+    size_t count = c->memory ? CRANE.save(c->memory, c->kept) : 0;
     if (!make_room(FMUstate, saved_size(count))) return refuse(c, "no memory for a saved state");
     Snapshot snapshot = {(int)c->phase, c->time, c->values};
-    save_state(&snapshot, c->before, count, ((SavedState *)*FMUstate)->bytes);
+    save_state(&snapshot, c->kept, count, ((SavedState *)*FMUstate)->bytes);
     return fmi2OK;
 }
 
@@ -653,8 +698,8 @@ fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *FMUstate) {
 static int restore_model(Instance *c, const unsigned char *model, size_t count) {
     Settings settings = settings_of(&c->values);
     if (count > CRANE.state_count(&settings)) return 0;
-    read_doubles(model, c->before, count);
-    return CRANE.load(c->memory, c->before, count);
+    read_doubles(model, c->kept, count);
+    return CRANE.load(c->memory, c->kept, count);
 }
 
 /* Restore a state, all or nothing. */
@@ -676,8 +721,8 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
         memcmp(c->values.number + INPUTS, snapshot.values.number + INPUTS, parameters) == 0 &&
         memcmp(c->values.text, snapshot.values.text, sizeof c->values.text) == 0 &&
         memcmp(&c->values.tolerance, &snapshot.values.tolerance, sizeof(double)) == 0;
-    Instance made = {.values = snapshot.values, .memory = c->memory, .before = c->before};
-    if (!same) made.memory = NULL, made.before = NULL;
+    Instance made = {.values = snapshot.values, .memory = c->memory, .kept = c->kept};
+    if (!same) made.memory = NULL, made.kept = NULL;
     if (count && !same && !build(&made, message)) return refuse(c, message);
     if (count && !restore_model(&made, model, count)) {
         if (!same) drop_model(&made);
@@ -685,7 +730,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate FMUstate) {
                          " solver.tolerance");
     }
     if (!count || !same) drop_model(c);
-    if (count) c->memory = made.memory, c->before = made.before;
+    if (count) c->memory = made.memory, c->kept = made.kept;
     c->values = snapshot.values;
     c->noticed = count && CRANE.notice(c->memory) != NULL;
     c->phase = (Phase)snapshot.phase;

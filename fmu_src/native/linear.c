@@ -15,7 +15,7 @@
 
 enum { GAUSS_POINTS = sizeof GAUSS_NODES / sizeof *GAUSS_NODES };
 
-static const double PIVOT = 1e-300;   /* in the place of a pivot that vanishes */
+static const double PIVOT = 1e-100;   /* of the largest entry, in the place of one that vanishes */
 static const double ABOVE_ALL = 1e-9; /* of the bound of omega^2, that no mode is missed */
 
 /* Modal coordinates, m sqrt(kg), and their rates: q = shapes eta. */
@@ -35,6 +35,7 @@ typedef struct {
     double response_h, *s, *s_dot;     /* free response after response_h, s */
     ModalMotion jumped, at;            /* work: after a jump; at a point of quadrature */
     double *K_diagonal, *K_coupling;   /* N/m, of (31): node i, and nodes i, i + 1 */
+    double pivot;                      /* N/m, in the place of one that vanishes */
     double *down, *up, *nodal, *other; /* work of the modes */
     LinearState *head;
     ModalMotion motion;
@@ -68,15 +69,15 @@ static double pencil_coupling(const LinearCrane *c, double lambda, int i) {
     return c->K_coupling[i] - lambda * c->chain.coupling;
 }
 
-static double safe(double pivot) { return pivot == 0.0 ? PIVOT : pivot; }
+static double safe(const LinearCrane *c, double pivot) { return pivot == 0.0 ? c->pivot : pivot; }
 
 /* Sturm's count: how many omega^2 are below lambda, the negative pivots of K - lambda M. */
 static int count_below(const LinearCrane *c, double lambda) {
-    double pivot = safe(pencil_diagonal(c, lambda, 0));
+    double pivot = safe(c, pencil_diagonal(c, lambda, 0));
     int count = pivot < 0.0;
     for (int i = 1; i < c->chain.n; i++) {
         double b = pencil_coupling(c, lambda, i - 1);
-        pivot = safe(pencil_diagonal(c, lambda, i) - b * b / pivot);
+        pivot = safe(c, pencil_diagonal(c, lambda, i) - b * b / pivot);
         count += pivot < 0.0;
     }
     return count;
@@ -100,12 +101,12 @@ static void shape_of(const LinearCrane *c, double lambda, double *shape) {
     for (int i = 0; i < n; i++) {
         double b = i > 0 ? pencil_coupling(c, lambda, i - 1) : 0.0;
         down[i] = pencil_diagonal(c, lambda, i);
-        if (i > 0) down[i] = safe(down[i] - b * b / safe(down[i - 1]));
+        if (i > 0) down[i] = safe(c, down[i] - b * b / safe(c, down[i - 1]));
     }
     for (int i = n - 1; i >= 0; i--) {
         double b = i < n - 1 ? pencil_coupling(c, lambda, i) : 0.0, own;
         own = up[i] = pencil_diagonal(c, lambda, i);
-        if (i < n - 1) up[i] = safe(own - b * b / up[i + 1]);
+        if (i < n - 1) up[i] = safe(c, own - b * b / safe(c, up[i + 1]));
         double left = fabs(down[i] + up[i] - own);
         if (left < least) {
             least = left;
@@ -114,9 +115,9 @@ static void shape_of(const LinearCrane *c, double lambda, double *shape) {
     }
     shape[twist] = 1.0;
     for (int i = twist - 1; i >= 0; i--)
-        shape[i] = -pencil_coupling(c, lambda, i) / safe(down[i]) * shape[i + 1];
+        shape[i] = -pencil_coupling(c, lambda, i) / safe(c, down[i]) * shape[i + 1];
     for (int i = twist + 1; i < n; i++)
-        shape[i] = -pencil_coupling(c, lambda, i - 1) / safe(up[i]) * shape[i - 1];
+        shape[i] = -pencil_coupling(c, lambda, i - 1) / safe(c, up[i]) * shape[i - 1];
 }
 
 /* omega^2 of a shape by Rayleigh's quotient: element by element it is exact in its small digits. */
@@ -142,6 +143,7 @@ static void modes(LinearCrane *c) {
     double *shape = c->nodal, *straight = c->other;
     high *= 1.0 + ABOVE_ALL;
     stiffness_matrix(c);
+    c->pivot = PIVOT * larger(c->K_diagonal[0], high * node_mass(&c->chain, c->chain.n - 1));
     for (int i = 0; i < c->chain.n; i++)
         straight[i] = c->chain.L0 * (i + 1) * sin(c->chain.settings.initial_sway_angle);
     for (int mode = 0; mode < c->chain.n; mode++) {
@@ -374,7 +376,7 @@ static void hang(LinearCrane *c) {
 }
 
 static void create(void *memory, const Settings *settings) {
-    static const Command idle = {0.0};
+    static const Command idle;
     LinearCrane *c = memory;
     int n = (int)settings->chain_elements;
     memset(memory, 0, memory_size(settings));
@@ -429,4 +431,6 @@ const CraneModel CRANE = {.memory = memory_size,
                           .state_count = state_count,
                           .save = save,
                           .load = load,
+                          .keep = save,
+                          .undo = load,
                           .longest_part = longest_part};

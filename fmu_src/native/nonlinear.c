@@ -487,4 +487,6 @@ const CraneModel NONLINEAR = {.memory = memory_size,
                               .state_count = state_count,
                               .save = save,
                               .load = load,
+                              .keep = save,
+                              .undo = load,
                               .longest_part = longest_part};

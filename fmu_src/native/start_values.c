@@ -73,10 +73,10 @@ int bad_parameter(const Values *values, char message[MESSAGE_SIZE]) {
     for (int i = INPUTS; i < SETTABLE; i++) {
         const Variable *variable = &VARIABLE[i];
         double value = values->number[i];
-        char text[TEXT_SIZE + 2];
+        char text[QUOTED_SIZE];
         if (variable->kind == STRING) {
             if (choice(values, i) >= 0) continue;
-            snprintf(text, sizeof text, "'%s'", values->text[variable->text]);
+            text_quoted(text, values->text[variable->text]);
         } else {
             if (is_finite(value) && value >= variable->minimum && value <= variable->maximum) {
                 if (i == VR_CHAIN_ELEMENTS && too_stiff(values->number, message)) return 1;

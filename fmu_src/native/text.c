@@ -40,7 +40,7 @@ char *text_repr(char out[NUMBER_SIZE], double value) {
         *end++ = digits[0];
         if (count > 1) *end++ = '.';
         for (int i = 1; i < count; i++) *end++ = digits[i];
-        snprintf(end, 8, "e%c%02d", exponent < 0 ? '-' : '+', abs(exponent));
+        snprintf(end, NUMBER_SIZE - MOST_DIGITS - 2, "e%+03d", exponent);
         return out;
     }
     int before_point = exponent + 1;
@@ -61,5 +61,36 @@ char *text_general(char out[NUMBER_SIZE], int digits, double value) {
     snprintf(out, NUMBER_SIZE, "%.*g", digits, value);
     for (char *at = out; *at; at++)
         if (!strchr("0123456789+-e", *at)) *at = '.';
+    return out;
+}
+
+/* Bytes of the UTF-8 character at ``text``; 0: there is none. */
+static int character_size(const char *text) {
+    unsigned char first = (unsigned char)*text;
+    int size = first < 0x80 ? 1 : first < 0xC2 ? 0 : first < 0xE0 ? 2 : first < 0xF0 ? 3 : 4;
+    if (first >= 0xF5) return 0;
+    for (int i = 1; i < size; i++)
+        if (((unsigned char)text[i] & 0xC0) != 0x80) return 0;
+    return size;
+}
+
+char *text_quoted(char out[QUOTED_SIZE], const char *text) {
+    static const char more[] = "...";
+    char *end = out, *last = out + QUOTED_SIZE - sizeof more - 1;
+    *end++ = '\'';
+    while (*text) {
+        int size = character_size(text), bytes = size ? size : 1;
+        if (end + bytes > last) {
+            strcpy(end, more);
+            end += strlen(more);
+            break;
+        }
+        if (size) memcpy(end, text, (size_t)size);
+        else *end = '?';
+        end += bytes;
+        text += bytes;
+    }
+    *end++ = '\'';
+    *end = '\0';
     return out;
 }

@@ -125,16 +125,29 @@ static size_t state_count(const Settings *settings) {
            (has_tolerance(settings) ? HEAD + (size_t)MAX_REMEMBERED * PAST : 0);
 }
 
-static size_t save(const void *memory, double *state) {
+/* All but the steps so far. */
+static size_t keep(const void *memory, double *state) {
     const TolerantCrane *tolerant = memory;
     size_t own = NONLINEAR.save(tolerant->crane, state);
     if (!tolerant->past) return own;
-    size_t past = (size_t)tolerant->head.remembered * PAST;
-    if (state) {
-        memcpy(state + own, &tolerant->head, sizeof tolerant->head);
-        memcpy(state + own + HEAD, tolerant->past, past * sizeof(double));
-    }
-    return own + HEAD + past;
+    if (state) memcpy(state + own, &tolerant->head, sizeof tolerant->head);
+    return own + HEAD;
+}
+
+static int undo(void *memory, const double *state, size_t count) {
+    TolerantCrane *tolerant = memory;
+    size_t own = tolerant->past ? count - HEAD : count;
+    double level = tolerant->head.level;
+    if (tolerant->past) memcpy(&tolerant->head, state + own, sizeof tolerant->head);
+    if (tolerant->head.level != level) make(tolerant);
+    return NONLINEAR.load(tolerant->crane, state, own);
+}
+
+static size_t save(const void *memory, double *state) {
+    const TolerantCrane *tolerant = memory;
+    size_t kept = keep(memory, state), past = (size_t)tolerant->head.remembered * PAST;
+    if (state && past) memcpy(state + kept, tolerant->past, past * sizeof(double));
+    return kept + past;
 }
 
 static int is_whole(double number, double most) {
@@ -166,4 +179,6 @@ const CraneModel CRANE = {.memory = memory_size,
                           .state_count = state_count,
                           .save = save,
                           .load = load,
+                          .keep = keep,
+                          .undo = undo,
                           .longest_part = longest_part};

@@ -202,7 +202,7 @@ def kinetic_energy(chain: DiscreteChain, w: Array, trolley_v: float) -> float:
     relative = 0.5 * float(np.vdot(w, mass_times(chain, w)))
     mixed = trolley_v * float(chain.row_mass @ w[:, 0])
     total_mass = chain.crane.total_mass
-    return relative + mixed + 0.5 * total_mass * trolley_v**2
+    return relative + mixed + 0.5 * total_mass * trolley_v * trolley_v
 
 
 def potential_energy(chain: DiscreteChain, r: Array) -> float:

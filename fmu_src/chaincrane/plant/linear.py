@@ -241,7 +241,9 @@ class LinearCrane(CraneModel):
     def _carried(self, motion: ModalMotion, trolley_v: float) -> float:
         """Kinetic energy, J, that the trolley's velocity adds to the relative motion's."""
         total = self.crane.total_mass
-        return trolley_v * float(self.string.push @ motion.rate) + 0.5 * total * trolley_v**2
+        return (
+            trolley_v * float(self.string.push @ motion.rate) + 0.5 * total * trolley_v * trolley_v
+        )
 
     def _advance(self, h: float, start: Trolley, command: Command) -> None:
         before, a_cmd = self._motion, command.trolley_a_cmd

@@ -284,7 +284,8 @@ class NonlinearCrane(CraneModel):
         """
         mass = self.crane.total_mass
         changed = trolley_v - self.initial.speed
-        start = ledger.start - 0.5 * mass * self.initial.speed**2
+        speed = self.initial.speed
+        start = ledger.start - 0.5 * mass * speed * speed
         return max(before, start + 0.5 * mass * changed * changed + abs(ledger.payload))
 
     def _check_energy(self, state: NonlinearState, ledger: Ledger, energy: float, h: float) -> None:

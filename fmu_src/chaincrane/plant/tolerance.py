@@ -47,6 +47,7 @@ class TolerantCrane:
         self._level = 0  # times that the longest step was halved
         self._gave_up = False
         self._past: list[tuple[float, Command, float, float]] = []
+        self._remembered = 0  # of the past; what stands behind was undone by who called
         self.crane = self._made()
         self.start_time = 0.0
 
@@ -60,11 +61,12 @@ class TolerantCrane:
         trolley = self.crane.trolley
         self.crane.start_time = self.start_time
         self.crane.step(h, command)
-        if len(self._past) == MAX_REMEMBERED:
-            self._gave_up, self._past = True, []
+        if self._remembered == MAX_REMEMBERED:
+            self._gave_up, self._remembered = True, 0
         if self._gave_up:
             return
-        self._past.append((h, command, trolley.v, trolley.gained))
+        self._past[self._remembered :] = [(h, command, trolley.v, trolley.gained)]
+        self._remembered += 1
         while (
             self._exceeds(ESTIMATED_SHARE) and self._level < MAX_REFINEMENTS and not self._gave_up
         ):
@@ -80,7 +82,7 @@ class TolerantCrane:
         self._level += 1
         try:
             self.crane = self._made()
-            for h, command, _, _ in self._past:
+            for h, command, _, _ in self._past[: self._remembered]:
                 self.crane.step(h, command)
                 effort = Effort(
                     effort.steps + self.crane.effort.steps,
@@ -108,9 +110,10 @@ class TolerantCrane:
         head = {
             "level": float(self._level),
             "gave_up": float(self._gave_up),
-            "remembered": float(len(self._past)),
+            "remembered": float(self._remembered),
         }
-        rows = [(h, *astuple(command), v, gained) for h, command, v, gained in self._past]
+        past = self._past[: self._remembered]
+        rows = [(h, *astuple(command), v, gained) for h, command, v, gained in past]
         numbers = [head[name] for name in TOLERANCE_STATE] + [x for row in rows for x in row]
         return self.crane.save() + np.array(numbers, dtype="<f8").tobytes()
 
@@ -135,9 +138,9 @@ class TolerantCrane:
         self.crane, self._gave_up, self._past = crane, bool(head["gave_up"]), []
         for place in range(0, len(past), len(PAST_STEP)):
             h, *told, v, gained = past[place : place + len(PAST_STEP)]
-            self._past.append(
-                (h, Command(**dict(zip(_COMMAND_FIELDS, told, strict=True))), v, gained)
-            )
+            command = Command(**dict(zip(_COMMAND_FIELDS, told, strict=True)))
+            self._past.append((h, command, v, gained))
+        self._remembered = len(self._past)
 
 
 def nonlinear_crane(
