@@ -475,10 +475,56 @@ def test_fmpy_compiles_the_sources(native_fmus: Path, tmp_path: Path, model: str
         for name, content in entries(source).items():
             if not name.startswith("binaries/"):
                 archive.writestr(name, content)
-    subprocess.run([sys.executable, "-m", "fmpy", "compile", str(fmu)], check=True)
+    # FMPy does not link the mathematical library, which a host that is no Python may lack
+    linked = {"LDFLAGS": "-Wl,--no-as-needed -lm"} if sys.platform.startswith("linux") else {}
+    command = [sys.executable, "-m", "fmpy", "compile", str(fmu)]
+    subprocess.run(command, check=True, env=os.environ | linked)
+    if linked:
+        (library,) = (c for n, c in entries(fmu).items() if n.endswith(f"linux64/{model}.so"))
+        assert b"libm.so.6" in library
     jobs = [Job(file, {}, paper_motion(), 4.0, 0.005) for file in (source, fmu)]
     shipped, compiled = simulate_all(jobs, "compiled")
     assert np.abs(shipped["payload.x"] - compiled["payload.x"]).max() < 1e-9
+
+
+@linux_host
+def test_two_fmus_fit_into_one_program(c_host: CHost, native_fmus: Path) -> None:
+    """Compiled by another than us, with FMI2_FUNCTION_PREFIX and all warnings as errors.
+
+    Without the prefix a library exports FMI's functions alone, though nothing hides the others.
+    """
+    warnings = ["-std=c99", "-O2", "-fPIC", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+    objects: list[str] = []
+    for model in NATIVE:
+        sources = [str(p) for p in sorted((c_host.folder / model / "sources").glob("*.c"))]
+        for source in sources:
+            objects.append(f"{model}_{Path(source).stem}.o")
+            prefix = f"-DFMI2_FUNCTION_PREFIX={model}_"
+            c_host.run([str(compiler), *warnings, prefix, "-c", source, "-o", objects[-1]])
+        command = [str(compiler), *warnings, "-shared", *sources, "-o", f"{model}_bare.so", "-lm"]
+        c_host.run(command)
+        listed = c_host.run(["nm", "-D", "--defined-only", f"{model}_bare.so"])
+        exported = {line.split()[-1] for line in listed.splitlines()}
+        files = entries(native_fmus / f"{model}.fmu")
+        assert exported == fmi_functions(files["sources/fmi2Functions.h"])
+    main_c = str(Path(__file__).parent / "two_fmus.c")
+    guids = zip(("NL", "LIN"), c_host.guids, strict=True)
+    defined = [f'-D{name}_GUID="{guid}"' for name, guid in guids]
+    sources_of_both = f"{NATIVE[0]}/sources"  # their interface is the same
+    command = [str(compiler), *warnings, *defined, "-I", sources_of_both, main_c, *objects]
+    c_host.run([*command, "-o", "two_fmus", "-lm"])
+    together = list(map(float, c_host.run(["./two_fmus"]).split()))
+    alone = [in_fresh_process(_half_a_second, str(native_fmus / f"{m}.fmu")) for m in NATIVE]
+    assert together == pytest.approx(alone, abs=1e-12)
+    assert abs(alone[0] - alone[1]) > 1e-4
+
+
+def _half_a_second(fmu: str) -> float:
+    from slave_host import Host
+
+    host = Host(fmu)
+    assert host.step(0.5) == 0
+    return float(host.get("payload.x_rel"))
 
 
 # --- strange hosts ----------------------------------------------------------------------------

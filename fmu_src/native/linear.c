@@ -215,7 +215,7 @@ static double load_now(const LinearCrane *c, double v, const Command *command, i
     return -c->push[i] * (command->trolley_a_cmd + air * v) + c->payload[i] * command->payload_fx;
 }
 
-static double load_slope(const LinearCrane *c, double v, const Command *command, int i) {
+static double load_slope(const LinearCrane *c, const Command *command, int i) {
     return -c->push[i] * (c->chain.settings.damping_air * command->trolley_a_cmd);
 }
 
@@ -225,7 +225,7 @@ static double load_slope(const LinearCrane *c, double v, const Command *command,
 static void propagate_mode(const LinearCrane *c, ModalMotion from, double v, const Command *command,
                            int i, double t, double s, double s_dot, ModalMotion to) {
     double air = c->chain.settings.damping_air, square = c->squares[i];
-    double c1 = load_slope(c, v, command, i) / square;
+    double c1 = load_slope(c, command, i) / square;
     double c0 = (load_now(c, v, command, i) - air * c1) / square;
     double eta = from.eta[i] - c0, rate = from.rate[i] - c1;
     to.eta[i] = (s_dot + air * s) * eta + s * rate + c0 + c1 * t;
@@ -303,7 +303,7 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
         double moved = c->motion.eta[i] - jumped.eta[i];
         payload_moved.x += c->payload[i] * moved;
         path += c->push[i] * moved;
-        c->rate_of_rate[i] = load_now(c, v, command, i) + h * load_slope(c, v, command, i) -
+        c->rate_of_rate[i] = load_now(c, v, command, i) + h * load_slope(c, command, i) -
                              air * c->motion.rate[i] - c->squares[i] * c->motion.eta[i];
     }
     /* The drive gives all change of horizontal momentum P that the payload's force and the air

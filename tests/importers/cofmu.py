@@ -1,33 +1,14 @@
-"""Simulate an FMU with CoFmuPy."""
+"""Simulate an FMU with CoFmuPy, which sets and reads every variable as a Real."""
 
 from __future__ import annotations
 
-from typing import Any
-
-from cofmupy import Coordinator, wrappers
+from cofmupy import Coordinator
 from importers.case import from_command_line
 
 MODEL = "crane"
 
 
-class TypedHandler(wrappers.Fmu2Handler):  # type: ignore[misc]
-    """CoFmuPy 1.0.0 sets every start value, and reads every output, as a Real."""
-
-    def __init__(self, path: str, slave: type) -> None:
-        super().__init__(path, slave)
-        self.default_step_size = None  # text in newer FMPy, which CoFmuPy cannot compare
-
-    def _set_variable(self, name: str, value: list[Any]) -> None:
-        variable = self.var_name2attr[name]
-        getattr(self.fmu, f"set{variable.type}")([variable.valueReference], value)
-
-    def get_output_names(self) -> list[str]:
-        """The Real ones."""
-        return [n for n in super().get_output_names() if self.get_variable_type(n) == "Real"]
-
-
 case = from_command_line()
-wrappers.Fmu2Handler = TypedHandler
 coordinator = Coordinator()
 coordinator.start({"fmus": [{"id": MODEL, "path": case.fmu, "initialization": case.start}]})
 
