@@ -321,6 +321,16 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         self._fault = str(error) if known else f"internal error, please report it: {error!r}"
         self._log_error(self._fault)
 
+    def log(
+        self,
+        msg: str,
+        status: Fmi2Status = Fmi2Status.ok,
+        category: str | None = None,
+        debug: bool | None = None,
+    ) -> None:
+        """Log a message. FMI's loggers take a format, in which % is %%: pythonfmu hands on ours."""
+        super().log(msg.replace("%", "%%"), status, category, debug)
+
     def _log_error(self, message: str) -> None:
         """One line in the FMI log; on stderr too, since pythonfmu drops it where logging is off."""
         self.log(message, Fmi2Status.error, "logStatusError")
