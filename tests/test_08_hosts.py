@@ -200,13 +200,21 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /
 
 @linux
 @pytest.mark.parametrize(
-    ("model", "count"), [(m, 10_000) for m in MODELS] + [(m, 1000) for m in EVERY[2:4]]
+    ("model", "count", "allowed"),
+    [
+        ("crane_nl", 10_000, 3e6),
+        ("crane_lin", 10_000, 3e6),
+        ("crane_antisway", 10_000, 4e6),
+        ("crane_observer", 200, 1e6),  # designs its filter anew each time, 40 ms
+    ],
 )
-def test_thousands_of_resets(fmus: Path, model: str, count: int) -> None:
-    """The same bits; memory flat to 330 bytes a reset: pythonfmu keeps a few references."""
+def test_thousands_of_resets(fmus: Path, model: str, count: int, allowed: float) -> None:
+    """The same bits; memory flat to 300 bytes a reset, of which pythonfmu keeps references, and to
+    some 0.5 MB that SciPy and its like take in the first hundreds.
+    """
     done = in_fresh_process(_resets, str(fmus / f"{model}.fmu"), count)
     assert done["same"]
-    assert done["grown"] < 300 * count
+    assert done["grown"] < allowed
 
 
 def _instantiations(fmu: str, count: int) -> dict[str, Any]:
@@ -536,7 +544,9 @@ def _fuzz(fmu: str, sequences: int) -> int:
     def make(slave: Any, states: list[Any], clock: list[float], name: str, value: Any) -> None:
         if name in ("setReal", "setInteger", "setString"):
             pairs = [  # an internal step of 1e-9 s is allowed, and would take all day
-                (vr, v) for vr, v in value if vr not in longest or not 0 < v < 1e-4
+                (vr, v)
+                for vr, v in value
+                if name != "setReal" or vr not in longest or not 0 < v < 1e-4
             ]
             getattr(slave, name)([vr for vr, _ in pairs], [v for _, v in pairs])
         elif name.startswith("get"):
