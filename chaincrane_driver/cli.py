@@ -17,11 +17,11 @@ from typing import NoReturn
 from . import compare, converge, plots, scenario, shipped, study
 from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_setting
 from .errors import UserError, instead
+from .instances import describe
 from .loop import ORDERS
 from .masters import MASTERS, Package
-from .processes import Work, progress_bar, simulate_all
+from .processes import Timed, progress_bar, simulate_all
 from .scenario import Run, Scenario
-from .simulate import describe
 from .ssp import write_ssp
 from .stale import say_if_stale
 from .tables import Table, read_table, write_table
@@ -203,7 +203,7 @@ def command_antisway(options: argparse.Namespace) -> int:
     loops = [replace(setup, method=method).loop(options.fmus) for method in methods]
     say_if_stale(loops[0].fmus.values())
     ssp = write_ssp(options.out / "crane_antisway.ssp", loops[0])
-    work: list[Work] = [*loops, *(Package(master, ssp, loops[0]) for master in others)]
+    work: list[Timed] = [*loops, *(Package(master, ssp, loops[0]) for master in others)]
     tables = simulate_all(work, "antisway")
     shown = [(METHOD_LABELS[m], table) for m, table in zip(methods, tables, strict=False)]
     rows = [(label, measure(table, setup.target)) for label, table in shown]

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from .compare import markdown_table, shown
 from .errors import UserError, instead
+from .instances import Instances, describe
 from .processes import simulate_all
 from .progress import Progress
 from .scenario import Run, Scenario
-from .simulate import Job, describe
+from .simulate import Job
 from .tables import Table, column_names
 
 STEP, ELEMENTS, LENGTH = "solver.max_step", "chain.elements", "chain.length"
@@ -144,10 +145,10 @@ class Variant:
         """Simulated time, s."""
         return self.job.stop_time
 
-    def run(self, progress: Progress) -> Table:
+    def run(self, instances: Instances, progress: Progress | None = None) -> Table:
         """Simulate in this process. Raises UserError."""
         try:
-            return self.job.run(progress)
+            return self.job.run(instances, progress)
         except UserError as error:
             raise UserError(f"{self.name}: {error}") from error
 

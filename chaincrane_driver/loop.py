@@ -6,33 +6,22 @@ gave at the step's start. `sequential`: crane, observer, controller, each with w
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
-from ctypes import byref
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fmpy import extract
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import (
-    FMU2Slave,
-    calloc,
-    fmi2CallbackAllocateMemoryTYPE,
-    fmi2CallbackFreeMemoryTYPE,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-    free,
-)
-from fmpy.logging import addLoggerProxy
+from numpy.typing import NDArray
 
 from .errors import UserError
+from .instances import Instance, Instances
 from .progress import REPORTS, Progress
-from .simulate import describe
-from .start_values import check_start_values
-from .tables import Table
+from .stepper import Part, Stepper, Stopped, Wire
+from .tables import Table, column_names
+
+Values = NDArray[np.float64]
 
 CRANE, OBSERVER, ANTISWAY = "crane", "observer", "antisway"
 ORDERS = ("parallel", "sequential")
@@ -118,137 +107,122 @@ class Loop:
         names = ["time", *(column(*one) for one in self.columns)]
         return np.zeros(self.steps + 1, dtype=[(name, float) for name in names])
 
-    def run(self, progress: Progress) -> Table:
+    def run(self, instances: Instances, progress: Progress | None = None) -> Table:
         """Step the FMUs in this process, telling ``progress`` the time. Raises UserError."""
-        with ExitStack() as stack:
-            log = Log()
-            parts = {
-                name: stack.enter_context(Part(name, fmu, self.start.get(name, {}), log))
-                for name, fmu in self.fmus.items()
-            }
-            return self._run(parts, progress)
+        parts = {name: instances.get(fmu, name) for name, fmu in self.fmus.items()}
+        instances.log.said.clear()
+        return _Run(self, parts, instances).result(progress)
 
-    def _run(self, parts: dict[str, Part], progress: Progress) -> Table:
-        wires = [
-            (parts[source], output, parts[sink], taken)
-            for source, output, sink, taken in self.connections
+
+class _Run:
+    """A loop's run in loaded FMUs."""
+
+    def __init__(self, loop: Loop, instances: Mapping[str, Instance], loaded: Instances) -> None:
+        self._loop, self._instances, self._loaded = loop, instances, loaded
+        self._names = list(instances)
+        times = np.array([number * loop.step for number in range(loop.steps + 1)])
+        self._inputs = {name: self._told(name) for name in instances}
+        self._outputs = {name: self._read(name) for name in instances}
+        self._parts = [
+            Part(
+                instance.slave,
+                instance.references(self._inputs[name], "Real"),
+                self._input_table(name),
+                instance.references(self._outputs[name], "Real"),
+            )
+            for name, instance in instances.items()
         ]
-        for name, part in parts.items():
-            read = [output for source, output, _, _ in self.connections if source == name]
-            part.begin(dict.fromkeys([*read, *self.watched[name]]))
-        for source, output, sink, taken in wires:
-            sink.set(taken, source.seen[output])
-        for part in parts.values():
-            part.end_initialisation()
-        result, changes = self.table(), self._changes()
-        every = max(1, self.steps // REPORTS)
-        for number in range(self.steps + 1):
-            time = number * self.step
-            values = [parts[name].seen[variable] for name, variable in self.columns]
-            result[number] = (time, *values)
-            if number == self.steps:
-                break
-            for name, variable, value in changes.get(number, ()):
-                parts[name].set(variable, value)
-            if self.order == "parallel":
-                for source, output, sink, taken in wires:
-                    sink.set(taken, source.seen[output])
-            for part in parts.values():
-                if self.order == "sequential":
-                    for source, output, sink, taken in wires:
-                        if sink is part:
-                            sink.set(taken, source.seen[output])
-                part.step(time, self.step)
-            if number % every == 0:
-                progress(time)
-        return result
+        self._wires = [
+            Wire(
+                self._names.index(source),
+                self._outputs[source].index(output),
+                self._names.index(sink),
+                self._inputs[sink].index(taken),
+            )
+            for source, output, sink, taken in loop.connections
+        ]
+        sizes = np.full(loop.steps, loop.step)
+        self._stepper = Stepper(self._parts, times, sizes, self._wires, loop.order == "sequential")
 
-    def _changes(self) -> dict[int, list[tuple[str, str, float]]]:
-        """Inputs that the loop does not drive, by the number of the step that they come before."""
-        found: dict[int, list[tuple[str, str, float]]] = {}
-        if self.inputs is None:
-            return found
-        assert self.inputs.dtype.names is not None
-        _, *names = self.inputs.dtype.names
-        for row in self.inputs:
-            number = round(float(row["time"]) / self.step)
-            for name in names:
-                part, variable = name.split(SEPARATOR)
-                found.setdefault(number, []).append((part, variable, float(row[name])))
+    def _told(self, part: str) -> list[str]:
+        """Inputs of a part that the loop sets: those of connections, and of its own inputs."""
+        wired = [taken for _, _, sink, taken in self._loop.connections if sink == part]
+        given = [variable for owner, variable in self._given() if owner == part]
+        return list(dict.fromkeys([*wired, *given]))
+
+    def _read(self, part: str) -> list[str]:
+        """Outputs of a part that are connected or watched."""
+        wired = [output for source, output, _, _ in self._loop.connections if source == part]
+        return list(dict.fromkeys([*wired, *self._loop.watched[part]]))
+
+    def _given(self) -> list[tuple[str, str]]:
+        """Part and variable of each column of the loop's own inputs."""
+        if self._loop.inputs is None:
+            return []
+        found = []
+        for name in column_names(self._loop.inputs)[1:]:
+            part, _, variable = name.partition(SEPARATOR)
+            found.append((part, variable))
         return found
 
+    def _input_table(self, part: str) -> Values:
+        """A row of inputs for each step: from its row's time on, a value that is given holds."""
+        names, instance, loop = self._inputs[part], self._instances[part], self._loop
+        start = loop.start.get(part, {})
+        values = [start.get(name, instance.variables[name].start or 0.0) for name in names]
+        table = np.tile(np.array(values, float), (loop.steps, 1))
+        if loop.inputs is not None:
+            for row in loop.inputs:
+                step = round(float(row["time"]) / loop.step)
+                for owner, variable in self._given():
+                    if owner == part:
+                        given = row[column(owner, variable)]
+                        table[step:, names.index(variable)] = given
+        return table
 
-class Log:
-    """What the FMUs of a process say. One for all: FMPy's proxy knows the last logger alone."""
-
-    def __init__(self) -> None:
-        self.first: tuple[str, str] | None = None  # instance and what it said
-        self.callbacks = fmi2CallbackFunctions()
-        self.callbacks.logger = fmi2CallbackLoggerTYPE(self._keep)
-        self.callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-        self.callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
-        addLoggerProxy(byref(self.callbacks))
-
-    def _keep(self, _env: Any, name: bytes, _status: int, _kind: bytes, message: bytes) -> None:
-        if self.first is None:
-            self.first = name.decode(errors="replace"), message.decode(errors="replace")
-
-
-class Part:
-    """One FMU of a loop: its variables by name, its errors as UserError."""
-
-    def __init__(self, name: str, fmu: Path, start: Mapping[str, Any], log: Log) -> None:
-        self.name, self.fmu, self.start, self._log = name, fmu, start, log
-        self.seen: dict[str, float] = {}  # outputs, when they were last read
-        self._description = describe(fmu)
-        self._variables = {v.name: v for v in self._description.modelVariables}
-        check_start_values(fmu, self._description, start)
-
-    def __enter__(self) -> Part:
-        self._folder = extract(str(self.fmu))
-        self._slave = FMU2Slave(
-            guid=self._description.guid,
-            unzipDirectory=self._folder,
-            modelIdentifier=self._description.coSimulation.modelIdentifier,
-            instanceName=self.name,
-        )
-        self._slave.instantiate(callbacks=self._log.callbacks, loggingOn=True)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
-
-    def begin(self, outputs: Iterable[str]) -> None:
-        """Set the start values; initialisation begins. ``outputs``: what is read from here on."""
-        self._outputs = list(outputs)
-        self._references = [self._variables[name].valueReference for name in self._outputs]
-        self._slave.setupExperiment(startTime=0.0)
-        for name, value in self.start.items():
-            self.set(name, value)
-        self._slave.enterInitializationMode()
-        self._look()
-
-    def end_initialisation(self) -> None:
-        """From here on the part can step."""
-        self._slave.exitInitializationMode()
-        self._look()
-
-    def set(self, name: str, value: Any) -> None:
-        """Set one variable."""
-        variable = self._variables[name]
-        if variable.type == "Real":
-            value = float(value)
-        getattr(self._slave, f"set{variable.type}")([variable.valueReference], [value])
-
-    def _look(self) -> None:
-        """Read the outputs, all in one call."""
-        self.seen = dict(zip(self._outputs, self._slave.getReal(self._references), strict=True))
-
-    def step(self, time: float, h: float) -> None:
-        """One communication step. Raises UserError with what the FMU says."""
+    def result(self, progress: Progress | None) -> Table:
+        """Run from 0 s to the end. Raises UserError."""
+        loop, bunch = self._loop, self._loop.steps
+        if progress is not None:
+            bunch = max(1, loop.steps // REPORTS)
         try:
-            self._slave.doStep(currentCommunicationPoint=time, communicationStepSize=h)
+            self._begin()
+            for first in range(0, loop.steps, bunch):
+                last = min(first + bunch, loop.steps)
+                self._stepper.advance(first, last)
+                if progress is not None:
+                    progress(last * loop.step)
+        except Stopped as stop:
+            instance = self._instances[self._names[stop.part]]
+            name, reason = self._loaded.failed(instance, stop.error)
+            when = (stop.step + 1) * loop.step
+            raise UserError(f"{name}: stopped before {when:g} s: {reason}") from stop
+        result = loop.table()
+        result["time"] = self._stepper.times
+        for name, variable in loop.columns:
+            place = self._outputs[name].index(variable)
+            table = self._parts[self._names.index(name)].real_table
+            result[column(name, variable)] = table[:, place]
+        return result
+
+    def _begin(self) -> None:
+        """Initialise: what is connected is handed over once before initialisation ends."""
+        for name in self._names:
+            self._try(name, "begin", self._loop.start.get(name, {}), self._loop.stop_time)
+        self._stepper.look(0)
+        for wire in self._wires:
+            sink = self._parts[wire.sink]
+            taken = self._parts[wire.source].real_table[0, wire.output]
+            sink.slave.setReal([sink.inputs[wire.input]], [taken])
+        for name in self._names:
+            self._try(name, "end_initialisation")
+        self._stepper.look(0)
+
+    def _try(self, name: str, call: str, *arguments: Any) -> None:
+        """Call a part's instance. Raises UserError with what the FMU says."""
+        instance = self._instances[name]
+        try:
+            getattr(instance, call)(*arguments)
         except FMICallException as error:
-            part, reason = self._log.first or (self.name, str(error))
-            raise UserError(f"{part}: stopped before {time + h:g} s: {reason}") from error
-        self._look()
+            name, reason = self._loaded.failed(instance, error)
+            raise UserError(f"{name}: not initialised: {reason}") from error

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import UserError
+from .instances import Instances
 from .loop import SEPARATOR, Loop
 from .progress import Progress
 from .ssp import PARAMETERS
@@ -27,6 +28,7 @@ class Package:
     master: str  # ecos or libcosim
     ssp: Path
     loop: Loop
+    alone = True  # another tool's binaries
 
     @property
     def name(self) -> str:
@@ -38,10 +40,10 @@ class Package:
         """Simulated time, s."""
         return self.loop.stop_time
 
-    def run(self, progress: Progress) -> Table:
-        """Run in this process. Raises UserError."""
+    def run(self, _instances: Instances, progress: Progress | None = None) -> Table:
+        """Run in this process, which loads no other FMU. Raises UserError."""
         run = {"ecos": _run_ecos, "libcosim": _run_libcosim}[self.master]
-        return run(self.ssp, self.loop, progress)
+        return run(self.ssp, self.loop, progress or (lambda time: None))
 
 
 def _require(module: str, what: str) -> Any:

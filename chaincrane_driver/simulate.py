@@ -1,20 +1,25 @@
-"""FMPy drives one FMU file and gives back its outputs by name."""
+"""One FMU is run, and its outputs are given back by name."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fmpy import read_model_description, simulate_fmu
-from fmpy.model_description import ModelDescription
+from fmpy.fmi1 import FMICallException
+from numpy.typing import NDArray
 
-from .errors import UserError, instead, one_line
+from .errors import UserError, instead
+from .grid import Grid, all_inputs, grid
+from .instances import Instance, Instances
 from .progress import REPORTS, Progress
-from .start_values import check_start_values
+from .stepper import Part, Stepper, Stopped
 from .tables import Table, column_names
+
+RECORDED = ("Real", "Integer", "Boolean")  # kinds of outputs, in the order of a result's columns
+SAME_AS = {"Enumeration": "Integer"}  # in FMI 2.0
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,8 @@ class Job:
     """One simulation from 0 to ``stop_time`` s, with a result row per ``output_interval`` s.
 
     ``inputs`` follows FMPy's convention: linear between rows, a repeated time row is a jump. Its
-    unknown columns, like unknown ``start_values``, are errors.
+    unknown columns, like unknown ``start_values``, are errors. ``outputs``: what the result has
+    beside the time; None: all outputs.
     """
 
     fmu: Path
@@ -30,79 +36,107 @@ class Job:
     inputs: Table | None
     stop_time: float
     output_interval: float
+    outputs: Sequence[str] | None = None
 
     @property
     def name(self) -> str:
         """What messages call it."""
         return str(self.fmu)
 
-    def run(self, progress: Progress) -> Table:
+    def run(self, instances: Instances, progress: Progress | None = None) -> Table:
         """Simulate in this process; ``progress`` is told the time reached. Raises UserError."""
-        return simulate(self, progress)
+        return simulate(self, instances, progress)
 
 
-def describe(fmu: Path) -> ModelDescription:
-    """The FMU's model description, validated by FMPy. Raises UserError."""
-    if not fmu.exists():
-        raise UserError(f"{fmu}: no such FMU; build it with: chaincrane build")
+def simulate(job: Job, instances: Instances, progress: Progress | None = None) -> Table:
+    """Run a job in one of ``instances``; ``progress`` is told the time reached. Raises UserError.
+
+    The result is what FMPy's simulate_fmu gives, bit for bit: columns by kind, then in the FMU's
+    order; a row for each communication point.
+    """
+    instance = instances.get(job.fmu)
+    instances.log.said.clear()
+    points = _grid(job, instance)
+    names = {kind: _recorded(job, instance, kind) for kind in RECORDED}
+    part = Part(
+        instance.slave,
+        instance.references(_inputs(instance), "Real"),
+        points.inputs,
+        *([instance.variables[name].valueReference for name in names[kind]] for kind in RECORDED),
+    )
+    stepper = Stepper([part], points.times, points.sizes)
     try:
-        return read_model_description(str(fmu))
-    except Exception as error:
-        raise UserError(f"{fmu}: not a valid FMU: {one_line(error)}") from error
+        instance.begin(job.start_values, job.stop_time)
+        if part.inputs:
+            instance.slave.setReal(part.inputs, points.initial)
+        instance.end_initialisation()
+        stepper.look(0)
+    except (FMICallException, Stopped) as error:
+        _, reason = instances.failed(instance, _cause(error))
+        raise UserError(f"{job.fmu}: {reason}") from error
+    steps = len(points.sizes)
+    bunch = steps if progress is None else max(1, steps // REPORTS)
+    for first in range(0, steps, bunch):
+        last = min(first + bunch, steps)
+        try:
+            stepper.advance(first, last)
+        except Stopped as stop:
+            _, reason = instances.failed(instance, stop.error)
+            reached = f"stopped at {points.times[stop.step]:g} s of {job.stop_time:g} s"
+            raise UserError(f"{job.fmu}: {reached}: {reason}") from stop
+        if progress is not None:
+            progress(float(points.times[last]))
+    return _table(points, part, names)
 
 
-def simulate(job: Job, progress: Progress = lambda time: None) -> Table:
-    """Simulate in this process; ``progress`` is told the time reached. Raises UserError."""
-    fmu = job.fmu
-    description = describe(fmu)
-    check_start_values(fmu, description, job.start_values)
-    log: list[str] = []
-
-    def keep(env: Any, instance: bytes, status: int, category: bytes, message: bytes) -> None:
-        log.append(message.decode(errors="replace"))
-
-    reported = 0.0
-
-    def report(time: float, _recorder: Any) -> bool:
-        nonlocal reported
-        if time - reported >= job.stop_time / REPORTS:
-            reported = time
-            progress(time)
-        return True
-
-    try:
-        result = simulate_fmu(
-            str(fmu),
-            model_description=description,
-            start_values=dict(job.start_values),
-            input=_with_all_inputs(fmu, description, job.inputs),
-            start_time=0.0,
-            stop_time=job.stop_time,
-            output_interval=job.output_interval,
-            step_finished=report,
-            logger=keep,
-            debug_logging=True,
-        )
-    except UserError:
-        raise
-    except Exception as error:
-        raise UserError(f"{fmu}: {log[-1] if log else one_line(error)}") from error
-    reached = float(result["time"][-1])
-    if reached < job.stop_time - 1e-9:  # FMPy ends quietly where a step is discarded
-        reason = log[-1] if log else "the FMU gives no reason"
-        raise UserError(f"{fmu}: stopped at {reached:g} s of {job.stop_time:g} s: {reason}")
-    return np.array(result)
+def _cause(error: FMICallException | Stopped) -> FMICallException:
+    return error.error if isinstance(error, Stopped) else error
 
 
-def _with_all_inputs(fmu: Path, description: ModelDescription, inputs: Table | None) -> Table:
-    """The input table with a column for each of the FMU's inputs, zero where none was given."""
-    names = [v.name for v in description.modelVariables if v.causality == "input"]
-    time = np.zeros(1) if inputs is None else inputs[column_names(inputs)[0]]
-    table = np.zeros(len(time), dtype=[(name, float) for name in ["time", *names]])
-    table["time"] = time
-    if inputs is not None:
-        for name in column_names(inputs)[1:]:
-            if name not in names:
-                raise UserError(f"{fmu}: {name!r} is not an input{instead(name, names)}")
-            table[name] = inputs[name]
-    return table
+def _inputs(instance: Instance) -> list[str]:
+    """Names of the FMU's Real inputs, in its order."""
+    return [
+        name
+        for name, variable in instance.variables.items()
+        if variable.causality == "input" and variable.type == "Real"
+    ]
+
+
+def _grid(job: Job, instance: Instance) -> Grid:
+    names = _inputs(instance)
+    for name in () if job.inputs is None else column_names(job.inputs)[1:]:
+        if name not in names:
+            raise UserError(f"{job.fmu}: {name!r} is not an input{instead(name, names)}")
+    start = {
+        name: float(job.start_values.get(name, instance.variables[name].start or 0.0))
+        for name in names
+    }
+    table = all_inputs(names, job.inputs, start)
+    return grid(instance.description, table, job.stop_time, job.output_interval)
+
+
+def _recorded(job: Job, instance: Instance, kind: str) -> list[str]:
+    """Names of the variables of a kind that the result has, in the FMU's order."""
+    for name in job.outputs or ():
+        if name not in instance.variables:
+            raise UserError(f"{job.fmu}: there is no variable {name!r}")
+    return [
+        name
+        for name, variable in instance.variables.items()
+        if SAME_AS.get(variable.type, variable.type) == kind
+        and (variable.causality == "output" if job.outputs is None else name in job.outputs)
+    ]
+
+
+def _table(points: Grid, part: Part, names: Mapping[str, Sequence[str]]) -> Table:
+    """The outputs as one table."""
+    kinds = {"Real": np.float64, "Integer": np.int32, "Boolean": np.bool_}
+    columns: list[tuple[str, Any]] = [("time", np.float64)]
+    columns += [(name, kinds[kind]) for kind in RECORDED for name in names[kind]]
+    result = np.zeros(len(points.times), dtype=columns)
+    result["time"] = points.times
+    tables: tuple[NDArray[Any], ...] = part.real_table, part.integer_table, part.boolean_table
+    for kind, table in zip(RECORDED, tables, strict=True):
+        for column, name in enumerate(names[kind]):
+            result[name] = table[:, column]
+    return result

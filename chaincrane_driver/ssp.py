@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from .instances import describe
 from .loop import Loop
-from .simulate import describe
 from .start_values import check_start_values
 
 SSP = "http://ssp-standard.org/SSP1/"

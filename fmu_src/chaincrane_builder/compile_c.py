@@ -144,6 +144,16 @@ def cc_library(sources: Mapping[str, bytes], flags: Sequence[str] = ()) -> bytes
         return Path(folder, "library").read_bytes()
 
 
+def library_for_host(sources: Mapping[str, bytes], name: str) -> bytes:
+    """This host's shared library of C files, by zig or else by its own compiler.
+
+    Raises CalledProcessError, or FileNotFoundError where there is no compiler.
+    """
+    if has_zig():
+        return zig_library(PLATFORMS[sys.platform][0], sources, name)
+    return cc_library(sources)
+
+
 def _write(sources: Mapping[str, bytes], folder: Path) -> list[str]:
     """Write C files and headers into a folder; the names of the C files."""
     for name, content in sources.items():
@@ -196,10 +206,7 @@ def kernel_for_host(dest: Path, crane: str = "tolerance.c") -> Path:
 
     Raises CalledProcessError, or FileNotFoundError where there is no compiler.
     """
-    platform, suffix = PLATFORMS[sys.platform]
-    sources = included(KERNEL, "kernel.c", crane)
-    content = zig_library(platform, sources, KERNEL) if has_zig() else cc_library(sources)
-    library = dest / f"{KERNEL}.{suffix}"
+    library = dest / f"{KERNEL}.{PLATFORMS[sys.platform][1]}"
     dest.mkdir(parents=True, exist_ok=True)
-    library.write_bytes(content)
+    library.write_bytes(library_for_host(included(KERNEL, "kernel.c", crane), KERNEL))
     return library
