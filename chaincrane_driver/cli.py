@@ -1,4 +1,4 @@
-"""The command line: chaincrane run, converge, figures, check, antisway, study."""
+"""The command line: chaincrane run, converge, figures, check, antisway, sweep, study."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from .processes import Timed, progress_bar, simulate_all
 from .scenario import Run, Scenario
 from .ssp import write_ssp
 from .stale import say_if_stale
+from .sweep_command import add_options, command_sweep
 from .tables import Table, read_table, write_table
 
 PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
@@ -349,6 +350,15 @@ def parser() -> argparse.ArgumentParser:
         help="a start value of crane, observer or antisway, as observer::sensor.delay=0.02",
     )
     antisway.add_argument("--out", type=Path, default=Path("results/antisway"), help="folder")
+
+    add_options(
+        command(
+            "sweep",
+            command_sweep,
+            "chaincrane sweep scenarios/paper_heavy --vary"
+            " payload.mass=0.05:0.5:50 --vary chain.elements=2,5,10",
+        )
+    )
 
     studied = command("study", command_study, "chaincrane study observer --out docs")
     studied.add_argument("study", choices=("observer",), help="which study")

@@ -41,7 +41,7 @@ SHAPE_TIMES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.08, 1.16, 1.24, 1.44, 2.0, 2.1, 2
 Results = dict[str, Table]
 
 
-def _new(
+def new_figure(
     rows: int, columns: int, width: float, height: float, **more: Any
 ) -> tuple[Figure, np.ndarray]:
     import matplotlib
@@ -66,7 +66,7 @@ def _new(
     return figure, axes
 
 
-def _save(figure: Figure, stem: Path) -> list[Path]:
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
     import matplotlib.pyplot as plt
 
     stem.parent.mkdir(parents=True, exist_ok=True)
@@ -94,7 +94,7 @@ def comparison(
 ) -> list[Path]:
     """Each signal looked at, of all runs, and below it their differences to the first run."""
     count = len(scenario.look_at)
-    figure, axes = _new(2, count, 5.2 * count, 5.0, sharex=True, height_ratios=(2, 1))
+    figure, axes = new_figure(2, count, 5.2 * count, 5.0, sharex=True, height_ratios=(2, 1))
     truth = results[scenario.runs[0].name]
     for column, signal in enumerate(scenario.look_at):
         top, bottom = axes[0, column], axes[1, column]
@@ -108,7 +108,7 @@ def comparison(
         bottom.set_xlabel("time, s")
     figure.suptitle(scenario.title)
     _legend(figure, axes[0, 0])
-    return _save(figure, stem)
+    return save_figure(figure, stem)
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
@@ -120,7 +120,7 @@ def motion_figure(
     panels: list[tuple[str, Scenario, Results]], signal: str, title: str, stem: Path
 ) -> list[Path]:
     """One signal, a panel for each payload (Figs. 5 to 7): the linear cranes on the nonlinear."""
-    figure, axes = _new(1, len(panels), 4.8 * len(panels), 3.1)
+    figure, axes = new_figure(1, len(panels), 4.8 * len(panels), 3.1)
     for place, (name, scenario, results) in enumerate(panels):
         runs = tuple(run for run in scenario.runs if run.name != "massless")
         panel = axes[0, place]
@@ -129,7 +129,7 @@ def motion_figure(
         panel.set_xlabel("time, s")
     figure.suptitle(title)
     _legend(figure, axes[0, 0])
-    return _save(figure, stem)
+    return save_figure(figure, stem)
 
 
 def shape_figure(
@@ -138,7 +138,7 @@ def shape_figure(
     """Position and shape of the chain at some times (Fig. 4), nonlinear and linear side by side."""
     import matplotlib
 
-    figure, axes = _new(len(panels), 2, 9.0, 3.6 * len(panels), sharex=True, sharey=True)
+    figure, axes = new_figure(len(panels), 2, 9.0, 3.6 * len(panels), sharex=True, sharey=True)
     colours = matplotlib.colormaps["viridis"]
     norm = matplotlib.colors.Normalize(min(times), max(times))
     for row, (name, scenario, results) in enumerate(panels):
@@ -161,12 +161,12 @@ def shape_figure(
     )
     bar.set_label("time, s")
     figure.suptitle(title)
-    return _save(figure, stem)
+    return save_figure(figure, stem)
 
 
 def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> list[Path]:
     """Position, sway, estimate against truth, and command; the first run is the one estimated."""
-    figure, axes = _new(2, 2, 9.6, 5.6, sharex=True)
+    figure, axes = new_figure(2, 2, 9.6, 5.6, sharex=True)
     panels = (
         ("crane::payload.x", 1.0, "position of the payload: payload.x", "m"),
         ("crane::payload.x_rel", 1e3, "sway: payload.x_rel", "mm"),
@@ -192,12 +192,12 @@ def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> li
         panel.set_xlabel("time, s")
     figure.suptitle(title)
     _legend(figure, axes[0, 0])
-    return _save(figure, stem)
+    return save_figure(figure, stem)
 
 
 def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) -> list[Path]:
     """Sway and its estimates' errors, a column for each payload."""
-    figure, axes = _new(2, len(panels), 4.8 * len(panels), 5.0, sharex=True, sharey="row")
+    figure, axes = new_figure(2, len(panels), 4.8 * len(panels), 5.0, sharex=True, sharey="row")
     for column, (label, runs) in enumerate(panels):
         for (name, whole), style in zip(runs, RUN_STYLES, strict=False):
             table = whole[::2]
@@ -214,7 +214,7 @@ def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) 
         axes[row, 0].set_ylabel("mm")
     figure.suptitle("1 m within 0.5 m/s and 1 m/s2; rope-angle sensor, 0.5 degree noise")
     _legend(figure, axes[0, 0])
-    return _save(figure, stem)
+    return save_figure(figure, stem)
 
 
 def convergence_figure(
@@ -224,7 +224,9 @@ def convergence_figure(
     columns = min(len(signals), 2)
     blocks = ceil(len(signals) / columns)
     size = max(5.2 * columns, 6.4), 0.6 + 4.8 * blocks
-    figure, axes = _new(2 * blocks, columns, *size, sharex=True, height_ratios=(3, 2) * blocks)
+    figure, axes = new_figure(
+        2 * blocks, columns, *size, sharex=True, height_ratios=(3, 2) * blocks
+    )
     for place in range(blocks * columns):
         row, column = 2 * (place // columns), place % columns
         top, bottom = axes[row, column], axes[row + 1, column]
@@ -239,7 +241,7 @@ def convergence_figure(
             bottom.set_xlabel("time, s")
     figure.suptitle(f"{title}\n{finding.settings}", fontsize=10)
     _legend(figure, axes[0, 0])
-    return _save(figure, stem)
+    return save_figure(figure, stem)
 
 
 def _errors(signal: Signal) -> list[tuple[str, str, str, Estimate]]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
+from fmpy.model_description import ModelDescription
 from numpy.typing import NDArray
 
 from .errors import UserError, instead
@@ -56,11 +57,11 @@ def simulate(job: Job, instances: Instances, progress: Progress | None = None) -
     """
     instance = instances.get(job.fmu)
     instances.log.said.clear()
-    points = _grid(job, instance)
+    points = grid_of(job, instance.description)
     names = {kind: _recorded(job, instance, kind) for kind in RECORDED}
     part = Part(
         instance.slave,
-        instance.references(_inputs(instance), "Real"),
+        instance.references(_inputs(instance.description), "Real"),
         points.inputs,
         *([instance.variables[name].valueReference for name in names[kind]] for kind in RECORDED),
     )
@@ -93,26 +94,22 @@ def _cause(error: FMICallException | Stopped) -> FMICallException:
     return error.error if isinstance(error, Stopped) else error
 
 
-def _inputs(instance: Instance) -> list[str]:
+def _inputs(description: ModelDescription) -> list[str]:
     """Names of the FMU's Real inputs, in its order."""
-    return [
-        name
-        for name, variable in instance.variables.items()
-        if variable.causality == "input" and variable.type == "Real"
-    ]
+    variables = description.modelVariables
+    return [v.name for v in variables if v.causality == "input" and v.type == "Real"]
 
 
-def _grid(job: Job, instance: Instance) -> Grid:
-    names = _inputs(instance)
+def grid_of(job: Job, description: ModelDescription) -> Grid:
+    """A job's communication points, and its inputs at each. Raises UserError."""
+    names = _inputs(description)
     for name in () if job.inputs is None else column_names(job.inputs)[1:]:
         if name not in names:
             raise UserError(f"{job.fmu}: {name!r} is not an input{instead(name, names)}")
-    start = {
-        name: float(job.start_values.get(name, instance.variables[name].start or 0.0))
-        for name in names
-    }
-    table = all_inputs(names, job.inputs, start)
-    return grid(instance.description, table, job.stop_time, job.output_interval)
+    start = {v.name: v.start or 0.0 for v in description.modelVariables if v.name in names}
+    start |= {name: value for name, value in job.start_values.items() if name in names}
+    table = all_inputs(names, job.inputs, {name: float(value) for name, value in start.items()})
+    return grid(description, table, job.stop_time, job.output_interval)
 
 
 def _recorded(job: Job, instance: Instance, kind: str) -> list[str]:
