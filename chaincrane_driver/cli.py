@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import NoReturn
 
-from . import compare, converge, plots, scenario, shipped, study
+from . import compare, converge, plots, report, scenario, shipped, study
 from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_setting
 from .errors import UserError, instead
 from .instances import describe
@@ -90,6 +90,24 @@ def command_converge(options: argparse.Namespace) -> int:
         print(f"{finding.settings}\n\n{converge.table(finding)}\n")
     print(f"{converge.LEGEND}\n")
     print("written: " + ", ".join(str(one) for one in (path, *pictures)))
+    return 0
+
+
+def command_report(options: argparse.Namespace) -> int:
+    """Write a scenario's runs as one HTML file: the crane moving, curves, differences, settings.
+
+    It opens in any browser, from disk. chaincrane antisway writes one of the closed loop.
+    """
+    for folder in options.scenario:
+        one = scenario.load(folder)
+        if options.run is not None:
+            one = replace(one, runs=tuple(run for run in one.runs if run.name == options.run))
+            if not one.runs:
+                raise UserError(f"{folder}: there is no run {options.run!r}")
+        results, units = run_all(one, options.fmus), checked_units(one, options.fmus)
+        told = report.of_scenario(one, results, units, options.fmus)
+        path = told.write(options.out / f"{one.name}.html")
+        print(f"written: {path}, {path.stat().st_size // 1024} kB")
     return 0
 
 
@@ -201,7 +219,9 @@ def command_antisway(options: argparse.Namespace) -> int:
     if others and setup.order != "parallel":
         raise UserError("ecos and libcosim step side by side: --order sequential is FMPy's alone")
     methods = [setup.method, *(m for m in ("zv", "trapezoid") if m != setup.method)]
-    loops = [replace(setup, method=method).loop(options.fmus) for method in methods]
+    loops = [
+        report.with_shape(replace(setup, method=method).loop(options.fmus)) for method in methods
+    ]
     say_if_stale(loops[0].fmus.values())
     ssp = write_ssp(options.out / "crane_antisway.ssp", loops[0])
     work: list[Timed] = [*loops, *(Package(master, ssp, loops[0]) for master in others)]
@@ -219,6 +239,8 @@ def command_antisway(options: argparse.Namespace) -> int:
     title += f"; observer: {setup.label}"
     written = [ssp, options.out / "fmpy.csv"]
     written += plots.antisway_figure(shown, title, options.out / "antisway")
+    told = report.of_antisway(setup, loops[0], shown, title)
+    written.append(told.write(options.out / "antisway.html"))
     print("written: " + ", ".join(str(path) for path in written))
     return 0
 
@@ -315,6 +337,13 @@ def parser() -> argparse.ArgumentParser:
     converging.add_argument(
         "--out", type=Path, default=Path("results"), metavar="DIR", help="output folder (results)"
     )
+
+    reporting = command("report", command_report, "chaincrane report scenarios/paper_light")
+    reporting.add_argument(
+        "scenario", type=Path, nargs="+", help="a scenario's folder, or the name of one of ours"
+    )
+    reporting.add_argument("--run", metavar="NAME", help="one run of the scenario (all)")
+    reporting.add_argument("--out", type=Path, default=Path("results"), help="folder (results)")
 
     figures = command("figures", command_figures, "chaincrane figures --out figures")
     scenarios(figures)

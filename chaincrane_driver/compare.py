@@ -58,9 +58,16 @@ def comparison_table(
     scenario: Scenario, results: dict[str, Table], units: Mapping[str, str | None]
 ) -> str:
     """RMS and largest difference to the first run, for each signal looked at, as Markdown."""
+    return markdown_table(*comparison_rows(scenario, results, units))
+
+
+def comparison_rows(
+    scenario: Scenario, results: dict[str, Table], units: Mapping[str, str | None]
+) -> tuple[Sequence[str], list[Sequence[str]]]:
+    """The same as a header and rows."""
     first, *others = scenario.runs
     header = ("signal", f"against {first.label}", "RMS", "largest", "RMS", "largest")
-    rows = []
+    rows: list[Sequence[str]] = []
     for signal in scenario.look_at:
         factor, unit = shown(units[signal])
         for run in others:
@@ -75,7 +82,7 @@ def comparison_table(
                     f"{gap.largest_percent:.2f} %",
                 )
             )
-    return markdown_table(header, rows)
+    return header, rows
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
