@@ -12,7 +12,9 @@ rest, undamped. With the energy E0 = (M + m) v^2/2, a case is *wrong* where
 and *failed* where a step ends in an error. None of that sees the time error. So with --accuracy
 each case also runs with a tenth of its step, and with the companion that estimates its own error:
 where the payload is then off by more than 1 % of the chain's length, it is *said* if
-error.predictable has fallen to 0, and *unsaid* if not.
+error.predictable has fallen to 0, and *unsaid* if not. Where the tension at the top or the drive's
+force, as a mean over the same step, is off by more than a tenth of the weight, it is *said* if so,
+or if its own estimate is a third of that or more.
 
 Usage: ``python benchmarks/robustness.py --help``.
 """
@@ -50,7 +52,11 @@ STIFFNESSES = (1e3, 1e4, 1e6, 7.36e6, 1e8)  # N
 SPEEDS = (0.2, 0.8, 2.0)  # m/s
 STOP, END = 1.0, 5.0  # s
 ALLOWED = 0.01  # of (M + m) v^2/2
-SAMPLE, FAR = 0.01, 0.01  # s; of the chain's length
+SAMPLE, FINER = 0.01, 10  # s; internal steps for one
+FAR, FAR_FORCE = 0.01, 0.1  # of the chain's length, of the weight
+FORCES = {"tension": "chain.tension_top", "drive force": "trolley.fx"}
+TOLD = {"tension": "error.tension_top", "drive force": "error.trolley_fx"}
+FACTOR = 3.0  # that an estimate may be too low by
 KINDS = ("right", "false alarm", "said", "unsaid")
 PLACE = {variable.name: place for place, variable in enumerate(OUTPUTS)}
 
@@ -193,42 +199,60 @@ def run(case: Case) -> Outcome:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far off a case is, by a tenth of its step, and whether it says so."""
+    """How far off a signal of a case is, by a tenth of its step, and whether the case says so."""
 
     case: Case
-    off: float  # largest distance of the payload, over the chain's length
-    said: bool  # error.predictable has fallen to 0
+    signal: str
+    off: float  # the largest, over the chain's length or the weight
+    said: bool
 
     @property
     def kind(self) -> str:
         """One of KINDS."""
-        if self.off <= FAR:
+        if self.off <= (FAR_FORCE if self.signal in FORCES else FAR):
             return "false alarm" if self.said else "right"
         return "said" if self.said else "unsaid"
 
 
-def accuracy(case: Case) -> Accuracy:
-    """Compare a case with a tenth of its step."""
+def sampled(model: NativeCrane, case: Case, command: Command, parts: int) -> list[float]:
+    """Payload's place, m, and forces, N, after one more sample; forces as means over the last
+    ``case.step`` of it, of which the model takes ``parts`` internal steps.
+    """
+    last = [2.0 * case.step] if parts == 1 else [case.step / parts] * parts  # a companion's pair
+    model.step(SAMPLE - sum(last), command)
+    means = dict.fromkeys(FORCES, 0.0)
+    for h in last:
+        model.step(h, command)
+        values = model.output_values()
+        for force, name in FORCES.items():
+            means[force] += values[PLACE[name]] / parts
+    return [values[PLACE["payload.x_rel"]], values[PLACE["payload.y"]], *means.values()]
+
+
+def accuracy(case: Case) -> list[Accuracy]:
+    """Compare a case with a tenth of its step, signal by signal."""
     crane = case.crane()
+    weight = crane.total_mass * crane.gravity
     initial = Initial(speed=case.speed if case.travelling else 0.0)
-    coarse, fine = (
-        NativeCrane(crane, initial, numerics, library=kernel())
-        for numerics in (
-            Numerics(case.elements, case.step, case.scheme, error_estimate="companion"),
-            Numerics(case.elements, 0.1 * case.step, case.scheme),
-        )
-    )
-    off = 0.0
+    coarse = Numerics(case.elements, case.step, case.scheme, error_estimate="companion")
+    fine = Numerics(case.elements, case.step / FINER, case.scheme)
+    a, b = (NativeCrane(crane, initial, one, library=kernel()) for one in (coarse, fine))
+    off = dict.fromkeys(("payload", *FORCES), 0.0)
     for i in range(round(END / SAMPLE)):
-        seen = []
-        for model in (coarse, fine):
-            model.step(SAMPLE, Command(trolley_v_cmd=case.speed if i < STOP / SAMPLE else 0.0))
-            values = model.output_values()
-            seen.append((values[PLACE["payload.x_rel"]], values[PLACE["payload.y"]]))
-        (ax, ay), (bx, by) = seen
-        off = max(off, hypot(ax - bx, ay - by) / crane.chain.length)
-    said = coarse.output_values()[PLACE["error.predictable"]] == 0
-    return Accuracy(case, off, said)
+        command = Command(trolley_v_cmd=case.speed if i < STOP / SAMPLE else 0.0)
+        ax, ay, *forces = sampled(a, case, command, 1)
+        bx, by, *finer = sampled(b, case, command, FINER)
+        off["payload"] = max(off["payload"], hypot(ax - bx, ay - by) / crane.chain.length)
+        for force, one, other in zip(FORCES, forces, finer, strict=True):
+            off[force] = max(off[force], abs(one - other) / weight)
+    values = a.output_values()
+    unpredictable = values[PLACE["error.predictable"]] == 0
+    told = {
+        force: unpredictable or FACTOR * values[PLACE[name]] >= max(FAR_FORCE, off[force]) * weight
+        for force, name in TOLD.items()
+    }
+    said = {"payload": unpredictable, **told}
+    return [Accuracy(case, signal, off[signal], said[signal]) for signal in off]
 
 
 def report_accuracy(name: str, found: Sequence[Accuracy], limit: int) -> bool:
@@ -295,7 +319,9 @@ def main() -> int:
             cases = [] if options.no_grid else grid(step, options.scheme)
             cases += random_cases(options.random, options.seed, step, options.scheme)
             found = pool.map(accuracy, cases, chunksize=5)
-            honest = report_accuracy(f"{options.steps[0]:g} ms", found, options.show)
+            for signal in zip(*found, strict=True):
+                name = f"{options.steps[0]:g} ms, {signal[0].signal}"
+                honest = report_accuracy(name, signal, options.show) and honest
     return 1 if wrong or not honest or (too_many and options.scheme == SCHEMES[0]) else 0
 
 
