@@ -251,9 +251,8 @@ static Outcome compared_step(NonlinearCrane *crane, double v, const Command *com
     double share = slack ? SLACK_SHARE : TAUT_SHARE;
     head->error_payload = larger(head->error_payload, share * norm(gap));
     head->error_tension_top =
-        larger(head->error_tension_top, share * fabs(tension - other->motion.tension[0]));
-    head->error_trolley_fx =
-        larger(head->error_trolley_fx, share * fabs(force - other->head->trolley_fx));
+        larger(head->error_tension_top, fabs(tension - other->motion.tension[0]));
+    head->error_trolley_fx = larger(head->error_trolley_fx, fabs(force - other->head->trolley_fx));
     return DONE;
 }
 
