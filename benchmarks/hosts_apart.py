@@ -79,8 +79,9 @@ def main() -> None:
             damped = replace(crane, damping=Damping(air=air))
             other_g = replace(damped, gravity=damped.gravity * (1.0 + 1e-15))
             plain = np.full(len(times), h)
-            runs = [places(one, times, plain, library) for one in (damped, other_g)]
-            print(f"{name}, {label:22} {until(*runs, h)}")
+            one = places(damped, times, plain, library)
+            other = places(other_g, times, plain, library)
+            print(f"{name}, {label:22} {until(one, other, h)}")
 
 
 if __name__ == "__main__":
