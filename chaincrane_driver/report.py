@@ -18,9 +18,9 @@ import numpy as np
 
 from .antisway import Metrics, Setup, measure
 from .compare import comparison_rows, shown
+from .instances import describe
 from .loop import CRANE, OBSERVER, WATCHED, Loop, column
 from .scenario import Scenario
-from .simulate import describe
 from .tables import Table
 
 TEMPLATE = Path(__file__).with_name("report.html")
