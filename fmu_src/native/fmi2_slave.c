@@ -68,15 +68,20 @@ static fmi2Status refuse(const Instance *c, const char *message) {
 
 /* ---- the model ---- */
 
+static int are_finite(const Outputs *outputs) {
+    int strange = 0; /* no early end: a loop for vectors */
+    for (int i = 0; i < OUTPUTS; i++) strange |= !is_finite(((const double *)outputs)[i]);
+    return !strange;
+}
+
 /* The first output that is not a finite number, in words; 0: all are. */
 static int bad_output(const Outputs *outputs, const char *allowed, char message[MESSAGE_SIZE]) {
-    for (int i = 0; i < OUTPUTS; i++) {
-        double value = ((const double *)outputs)[i];
-        if (is_finite(value)) continue;
-        bad_number(message, VARIABLE[SETTABLE + i].name, value, allowed);
-        return 1;
-    }
-    return 0;
+    if (are_finite(outputs)) return 0;
+    const double *value = (const double *)outputs;
+    int i = 0;
+    while (is_finite(value[i])) i++;
+    bad_number(message, VARIABLE[SETTABLE + i].name, value[i], allowed);
+    return 1;
 }
 
 static void drop_model(Instance *c) {
