@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .errors import UserError, instead
 from .scenario import Run, Scenario, checked_rules, read_toml
@@ -131,14 +132,28 @@ def tolerances(scenario: Scenario) -> dict[str, Tolerance]:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """A signal that is not as its reference."""
+class Deviation:
+    """How far a signal is from its reference."""
 
     signal: str
     largest: float
     when: float  # s
-    first: float  # s, when it first left the tolerance
+    first: float | None  # s, when it first left the tolerance; None: it never did
     tolerance: Tolerance
+
+    @property
+    def within(self) -> bool:
+        """Is it as its reference?"""
+        return self.first is None
+
+    @property
+    def share(self) -> float:
+        """Of what it may differ by: above 1 it differs."""
+        if np.isnan(self.largest):
+            return float("inf")
+        if not self.tolerance.absolute:
+            return float("inf") if self.largest else 0.0
+        return self.largest / self.tolerance.absolute
 
     def __str__(self) -> str:
         return (
@@ -147,8 +162,24 @@ class Finding:
         )
 
 
-def check(scenario: Scenario, run: Run, result: Table, reference: Table) -> list[Finding]:
-    """Compare a result with its reference, signal by signal; an empty list is good news."""
+def deviation(
+    signal: str, time: NDArray[np.float64], gap: NDArray[np.float64], tolerance: Tolerance
+) -> Deviation:
+    """The deviation of a signal whose differences to its reference are ``gap``, by time."""
+    outside = ~(gap <= tolerance.absolute)  # not a number is outside
+    worst = int(np.argmax(np.where(np.isnan(gap), np.inf, gap)))
+    first = float(time[np.argmax(outside)]) if outside.any() else None
+    return Deviation(signal, float(gap[worst]), float(time[worst]), first, tolerance)
+
+
+def check(scenario: Scenario, run: Run, result: Table, reference: Table) -> list[Deviation]:
+    """The signals of a result that are not as in its reference; an empty list is good news."""
+    found = deviations(scenario, run, result, reference)
+    return [one for one in found if not one.within]
+
+
+def deviations(scenario: Scenario, run: Run, result: Table, reference: Table) -> list[Deviation]:
+    """Compare a result with its reference, signal by signal. Raises UserError."""
     path = scenario.reference(run)
     rows = reference_rows(scenario, result)
     if len(rows) != len(reference) or np.abs(rows["time"] - reference["time"]).max() > 1e-9:
@@ -166,24 +197,12 @@ def check(scenario: Scenario, run: Run, result: Table, reference: Table) -> list
     for name in rows.dtype.names:
         if name not in reference.dtype.names:
             raise UserError(f"{path}: has no column {name!r}; renew it with --update")
-    findings = []
-    for name in reference.dtype.names[1:]:
-        tolerance = _tolerance(rules, name, path)
-        gap = np.abs(rows[name] - reference[name])
-        outside = ~(gap <= tolerance.absolute)  # not a number is outside
-        if outside.any():
-            worst = int(np.argmax(np.where(np.isnan(gap), np.inf, gap)))
-            time = rows["time"]
-            findings.append(
-                Finding(
-                    name,
-                    float(gap[worst]),
-                    float(time[worst]),
-                    float(time[np.argmax(outside)]),
-                    tolerance,
-                )
-            )
-    return findings
+    return [
+        deviation(
+            name, rows["time"], np.abs(rows[name] - reference[name]), _tolerance(rules, name, path)
+        )
+        for name in reference.dtype.names[1:]
+    ]
 
 
 def _fits(pattern: str, name: str) -> bool:

@@ -2,6 +2,8 @@
 
 import contextlib
 import io
+import json
+import re
 import shutil
 import subprocess
 import sys
@@ -69,8 +71,13 @@ def test_check_sees_a_changed_output(fmus: Path, tmp_path: Path) -> None:
     (copy / "scenario.toml").write_text(text.replace("0.42", "0.420042"))
     done = chaincrane("check", "--fmu", fmus / "crane_nl.fmu", "--scenarios", copy.parent)
     assert done.returncode == 1
-    assert "payload.x_rel: off by" in done.stdout
-    assert "at t = " in done.stdout
+    (line,) = [line for line in done.stdout.splitlines() if "nonlinear" in line]
+    # one line: the worst signal with its unit and time, and how many more
+    assert re.search(
+        r"DIFFERS; worst: \S+ off by \S+ (m|rad|m/s|J|N) at t = [\d.]+ s, of \S+ allowed, from",
+        line,
+    )
+    assert re.search(r"; \d\d more signals differ$", line)
     assert "linear, 2 elements" not in done.stdout  # --fmu stands in for its own kind alone
 
 
@@ -83,6 +90,104 @@ def test_update_makes_references_that_pass(fmus: Path, tmp_path: Path) -> None:
     assert "has no reference" in chaincrane(*options).stdout
     assert chaincrane(*options, "--update").returncode == 0
     assert chaincrane(*options).returncode == 0
+
+
+def copied_push(tmp_path: Path, old: str = "", new: str = "") -> Path:
+    """A copy of the scenario payload_push with one thing changed; the folder of scenarios."""
+    copy = tmp_path / "scenarios" / "payload_push"
+    shutil.copytree(SCENARIOS / "payload_push", copy)
+    text = (copy / "scenario.toml").read_text()
+    assert old in text
+    (copy / "scenario.toml").write_text(text.replace(old, new))
+    return copy
+
+
+def test_what_ci_reads(fmus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """JUnit by another reader, JSON by Python's: a run as its reference, one not, one without."""
+    junitparser = pytest.importorskip("junitparser")
+    copy = copied_push(tmp_path, 'chain.elements" = 2', 'chain.elements" = 3')
+    (copy / "reference_massless.csv").unlink()
+    files = ["--junit", tmp_path / "out" / "junit.xml", "--json", tmp_path / "out" / "check.json"]
+    assert cli.main([str(one) for one in ["check", copy, "--fmus", fmus, *files]]) == 1
+    assert "2 runs as their references, 2 not" in capsys.readouterr().out
+    (suite,) = junitparser.JUnitXml.fromfile(str(tmp_path / "out" / "junit.xml"))
+    assert (suite.name, suite.tests, suite.failures, suite.errors) == ("payload_push", 4, 1, 1)
+    kinds = {case.name: [type(one).__name__ for one in case.result] for case in suite}
+    assert kinds == {
+        "nonlinear, 10 elements": [],
+        "linear, 10 elements": [],
+        "linear, 2 elements": ["Failure"],
+        "massless rope": ["Error"],
+    }
+    (failure,) = next(case for case in suite if case.name == "linear, 2 elements").result
+    assert "payload.x_rel off by" in failure.text
+    told = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert [one["passed"] for one in told] == [True, True, False, False]
+    signals = {one["name"]: one for one in told[2]["signals"]}
+    assert signals["payload.x_rel"]["unit"] == "m"
+    assert signals["payload.x_rel"]["largest"] > signals["payload.x_rel"]["allowed"] == 1e-9
+
+
+def test_results_of_any_tool_can_be_checked(
+    fmus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """CSV files: the references themselves, one of them spoilt, one missing."""
+    results = tmp_path / "payload_push"
+    results.mkdir()
+    one = scenario.load(SCENARIOS / "payload_push")
+    for run in one.runs[:3]:
+        shutil.copy(one.reference(run), results / f"{run.name}.csv")
+    spoilt = read_table(results / "linear_2.csv")
+    spoilt["payload.x"][5] += 1e-6
+    write_table(results / "linear_2.csv", spoilt)
+    options = ["check", one.folder, "--results", tmp_path, "--fmus", tmp_path]
+    assert cli.main([str(option) for option in options]) == 1
+    nonlinear, linear, spoilt_line, missing, end = capsys.readouterr().out.splitlines()
+    assert "ok" in nonlinear and "ok" in linear
+    assert "DIFFERS; worst: payload.x off by 1e-06" in spoilt_line
+    assert "massless.csv: no such file" in missing
+    assert end == "2 runs as their references, 2 not"
+
+
+def test_an_fmu_of_another_name(fmus: Path, tmp_path: Path) -> None:
+    """Its model's name says nothing: --model does."""
+    mine = tmp_path / "mine.fmu"
+    with zipfile.ZipFile(fmus / "crane_lin.fmu") as source, zipfile.ZipFile(mine, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                content = content.replace(b'modelName="crane_lin"', b'modelName="mine"')
+            target.writestr(name, content)
+    options: list[object] = ["check", SCENARIOS / "payload_push", "--fmu", mine]
+    one_line_error(options, "its model is 'mine'", "--model crane_nl or --model crane_lin")
+    junit = tmp_path / "junit.xml"
+    options += ["--junit", junit]
+    one_line_error([*options, "--model", "crane_lim"], "nearest is 'crane_lin'")
+    assert 'errors="1"' in junit.read_text()
+    assert cli.main([*map(str, options), "--model", "crane_lin"]) == 0
+
+
+def test_cross_check_form(fmus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Another reader, FMPy's validator of the FMI cross-check, finds no problem; nor does check."""
+    from fmpy.cross_check.validate_vendor_repo import validate_test_fmu
+
+    folder = SCENARIOS / "paper_heavy"
+    options = ["export", folder, "--fmus", fmus, "--out", tmp_path]
+    assert cli.main([str(option) for option in options]) == 0
+    text = capsys.readouterr().out
+    assert "left out: paper_heavy, linear_2" in text
+    written = sorted(path.parent for path in tmp_path.rglob("*_ref.opt"))
+    assert {path.name for path in written} == {"paper_heavy_nonlinear", "paper_heavy_linear_10"}
+    for path in written:
+        assert validate_test_fmu(str(path)) == []
+        assert (path / "README.md").exists()
+    assert cli.main(["check", "--crosscheck", str(tmp_path)]) == 0
+    reference = next(tmp_path.rglob("linux64/**/*nonlinear_ref.csv"))
+    lines = reference.read_text().splitlines()
+    lines[100] = lines[100].replace("0", "1", 1)
+    reference.write_text("\n".join(lines))
+    assert cli.main(["check", "--crosscheck", str(tmp_path)]) == 1
+    one_line_error([*options, "--run", "linear_2"], "no start values", "chain.elements = 2")
 
 
 def test_a_nan_is_a_difference() -> None:
