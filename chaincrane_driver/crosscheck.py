@@ -18,8 +18,9 @@ from fmpy.util import read_ref_opt_file
 from .compare import Deviation, Tolerance, deviation
 from .errors import UserError, one_line
 from .grid import all_inputs
+from .instances import describe
 from .scenario import Run, Scenario
-from .simulate import Job, describe
+from .simulate import Job
 from .start_values import check_start_values
 from .tables import Table, column_names, read_table
 
