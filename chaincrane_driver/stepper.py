@@ -226,7 +226,9 @@ def _compiled() -> Path:
     import chaincrane_builder
 
     builder = Path(chaincrane_builder.__file__).parent
-    source, compiler = builder.parent / "native" / "stepper.c", builder / "compile_c.py"
+    in_wheel = builder / "fmu_src"
+    sources = in_wheel if in_wheel.exists() else builder.parent
+    source, compiler = sources / "native" / "stepper.c", builder / "compile_c.py"
     made_from = sha256(source.read_bytes() + compiler.read_bytes()).hexdigest()[:16]
     place = cache_folder() / f"stepper-{sys.platform}-{platform.machine()}-{made_from}"
     if not place.exists():
