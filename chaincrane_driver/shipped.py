@@ -1,4 +1,4 @@
-"""What comes with chaincrane: its scenarios and, in a wheel, its FMUs."""
+"""What comes with chaincrane: its scenarios and, in a wheel, its FMUs and stepper."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ _IN_WHEEL = HERE / "shipped"
 
 SCENARIOS = _IN_WHEEL / "scenarios" if _IN_WHEEL.exists() else CHECKOUT / "scenarios"
 TOLERANCES = SCENARIOS / "tolerances.toml"  # where a scenario's own folder gives none
+STEPPER = _IN_WHEEL / "stepper"  # a library for each platform; a checkout compiles its own
 FMUS = _IN_WHEEL / "fmus"  # a checkout has none: its FMUs are built where they are asked for
 
 

@@ -20,9 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fmpy import platform as platform_name
+from fmpy import sharedLibraryExtension
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
 from numpy.typing import NDArray
+
+from .shipped import STEPPER
 
 CACHE = "CHAINCRANE_CACHE"  # environment variable: where the compiled stepper is kept
 NOT_COMPILED = "CHAINCRANE_NO_STEPPER"  # environment variable: if set, the loop is Python's
@@ -201,21 +205,27 @@ def _structure(part: Part) -> tuple[_Part, list[Any]]:
 
 @cache
 def library() -> Any:
-    """The stepper in C, compiled where this machine has not got it yet; None: it cannot be."""
+    """The stepper in C: a wheel's, or compiled where this machine has not got it; None: neither."""
     if os.environ.get(NOT_COMPILED):
         return None
-    try:
-        found = ctypes.CDLL(str(_compiled()))
-        sizes = [found.stepper_layout(place) for place in range(3)]
-    except (OSError, AttributeError, ImportError, subprocess.CalledProcessError):
-        return None
-    if sizes != [ctypes.sizeof(one) for one in (_Part, _Wire, _Stop)]:
-        return None
-    pointer, count = ctypes.c_void_p, ctypes.c_size_t
-    found.stepper_run.restype = count
-    found.stepper_run.argtypes = [pointer, count, pointer, count, ctypes.c_int]
-    found.stepper_run.argtypes += [pointer, pointer, count, count, pointer]
-    return found
+    for path in (_shipped, _compiled):
+        try:
+            found = ctypes.CDLL(str(path()))
+            sizes = [found.stepper_layout(place) for place in range(3)]
+        except (OSError, AttributeError, ImportError, subprocess.CalledProcessError):
+            continue
+        if sizes == [ctypes.sizeof(one) for one in (_Part, _Wire, _Stop)]:
+            pointer, count = ctypes.c_void_p, ctypes.c_size_t
+            found.stepper_run.restype = count
+            found.stepper_run.argtypes = [pointer, count, pointer, count, ctypes.c_int]
+            found.stepper_run.argtypes += [pointer, pointer, count, count, pointer]
+            return found
+    return None
+
+
+def _shipped() -> Path:
+    """The library that came with this package. Raises OSError."""
+    return STEPPER / str(platform_name) / f"stepper{sharedLibraryExtension}"
 
 
 def _compiled() -> Path:
@@ -226,15 +236,14 @@ def _compiled() -> Path:
     import chaincrane_builder
 
     builder = Path(chaincrane_builder.__file__).parent
-    in_wheel = builder / "fmu_src"
-    sources = in_wheel if in_wheel.exists() else builder.parent
-    source, compiler = sources / "native" / "stepper.c", builder / "compile_c.py"
+    compiler = builder / "compile_c.py"
+    source = builder.parent / "native" / "stepper.c"
     made_from = sha256(source.read_bytes() + compiler.read_bytes()).hexdigest()[:16]
     place = cache_folder() / f"stepper-{sys.platform}-{platform.machine()}-{made_from}"
     if not place.exists():
-        from chaincrane_builder.compile_c import library_for_host
+        from chaincrane_builder.stepper import for_host
 
-        made = library_for_host({source.name: source.read_bytes()}, "stepper")
+        made = for_host()
         place.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=place.parent, delete=False) as file:
             file.write(made)

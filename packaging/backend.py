@@ -1,8 +1,8 @@
 """The build backend: setuptools, on a copy of the sources, with built FMUs in a wheel.
 
-A wheel carries what a checkout has beside its packages: scenarios, the FMUs' sources, and the FMUs
-themselves, so that its user needs no compiler. The copy leaves the checkout as it was: it may be
-read-only.
+A wheel carries what a checkout has beside its packages: scenarios, the FMUs' sources, the FMUs
+themselves and the stepper, so that its user needs no compiler. The copy leaves the checkout as it
+was: it may be read-only.
 """
 
 from __future__ import annotations
@@ -60,6 +60,13 @@ def build_wheel(
         fmus = copy / "chaincrane_driver" / "shipped" / "fmus"
         for native in ([], ["--native"]):
             subprocess.run([*builder, str(fmus), *native], check=True)
+        stepper = [
+            sys.executable,
+            "-m",
+            "chaincrane_builder.stepper",
+            "../chaincrane_driver/shipped",
+        ]
+        subprocess.run(stepper, check=True, cwd=copy / "fmu_src")
         shutil.copytree(copy / "scenarios", fmus.parent / "scenarios")
         inside = copy / "fmu_src" / "chaincrane_builder"
         sources = shutil.ignore_patterns("chaincrane_builder", "__pycache__")

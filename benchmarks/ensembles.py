@@ -1,0 +1,131 @@
+#!/usr/bin/env python3
+"""How fast is a sweep, beside the bare kernel in the same minute?
+
+The paper's 4 s, the payload's mass varied, five signals kept every 5 ms, through workers as
+chaincrane sweep uses them. The kernel's rate is that of its steps alone, called from Python, by as
+many processes at once as there are workers.
+
+    python benchmarks/ensembles.py               table on stdout; needs a compiler
+    python benchmarks/ensembles.py --runs 10000
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import resource
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter, process_time
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "fmu_src")]
+
+from chaincrane.plant.kernel import NativeCrane, load_library
+from chaincrane_builder.compile_c import kernel_for_host
+from chaincrane_builder.pack import build
+from chaincrane_driver import scenario, vary
+from chaincrane_driver.compare import markdown_table
+from chaincrane_driver.journal import Journal
+from chaincrane_driver.processes import Workers
+from chaincrane_driver.subjects import scenario_subject
+from chaincrane_driver.sweep import outcomes
+
+KEPT = ("payload.x", "payload.x_rel", "chain.mid_x_rel", "chain.tension_top", "trolley.fx")
+STEPS, STEP, STOP_AT, SPEED = 800, 0.005, 200, 0.8  # the paper's run: 4 s, stopped after 1 s
+BARE_RUNS = 100
+
+
+def bare(library: str) -> float:
+    """Least processor time of a run of the kernel's steps alone, s, of many."""
+    from chaincrane.plant import kernel
+
+    loaded = load_library(library)
+    moving, stopped = kernel._Command(trolley_v_cmd=SPEED), kernel._Command()
+    addresses = ctypes.addressof(moving), ctypes.addressof(stopped)
+    times = []
+    for _ in range(BARE_RUNS):
+        crane = NativeCrane(library=loaded)
+        step, memory, failure = crane._c_step, crane._address, crane._failure_address
+        begun = process_time()
+        for number in range(STEPS):
+            step(memory, STEP, addresses[number >= STOP_AT], failure)
+        times.append(process_time() - begun)
+    return sum(times) / len(times)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """What a sweep takes: s of wall time, s of the workers' processor time, s to the first run."""
+
+    wall: float
+    workers: float
+    first: float
+
+
+def swept(fmu: Path, runs: int, processes: int, folder: Path, kept: tuple[str, ...]) -> Rate:
+    """Run a sweep into a journal."""
+    one = scenario.load(ROOT / "scenarios" / "paper_heavy")
+    subject = scenario_subject(one, one.runs[:1], fmu.parent, kept=kept, fmu=fmu)
+    design = vary.design([f"payload.mass=0.05:0.5:{runs}"])
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begun, first, fresh = perf_counter(), 0.0, []
+    book = Journal(folder, {})
+    with Workers(processes) as workers:
+        for outcome in outcomes(workers, subject, design.cases()):
+            first = first or perf_counter() - begun
+            fresh.append(outcome)
+            if len(fresh) == 256:
+                book.add(fresh)
+                fresh.clear()
+        book.add(fresh)
+        wall = perf_counter() - begun
+    book.discard()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return Rate(wall, sum(after[:2]) - sum(before[:2]), first)
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=1000, help="runs of each sweep (1000)")
+    options = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        library = str(kernel_for_host(folder / "kernel"))
+        for model in ("crane_nl_native", "crane_nl"):
+            fmu = build(model, folder)
+            for processes in (1, 2):
+                with ProcessPoolExecutor(processes) as pool:
+                    alone = [*pool.map(bare, [library] * processes)]
+                rate = swept(fmu, options.runs, processes, folder / "out", KEPT)
+                with ProcessPoolExecutor(processes) as pool:
+                    alone += pool.map(bare, [library] * processes)
+                kernel = sum(alone) / len(alone)
+                each = rate.workers / options.runs
+                rows.append(
+                    [
+                        model,
+                        str(processes),
+                        f"{options.runs / rate.wall:.0f}",
+                        f"{1e3 * kernel:.2f} ms",
+                        f"{1e3 * each:.2f} ms",
+                        f"{kernel / each:.2f}",
+                        f"{kernel * options.runs / processes / rate.wall:.2f}",
+                        f"{rate.first:.2f} s",
+                    ]
+                )
+    head = ["FMU", "processes", "runs/s", "bare kernel", "worker", "kernel / worker"]
+    head += ["rate per core / kernel's", "first result"]
+    print(markdown_table(head, rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
