@@ -26,7 +26,7 @@ from chaincrane.control.observer import ObserverInput
 from chaincrane.plant.command import Command
 from chaincrane.plant.kernel import KernelMissing, load_library
 from chaincrane.variables import rows
-from chaincrane_builder.c_header import constants
+from chaincrane_builder.c_header import announced, constants
 from chaincrane_builder.compile_c import cc_library, has_cc, has_zig, included, zig_library
 from chaincrane_builder.pack import imported
 
@@ -164,6 +164,16 @@ def test_a_comment_in_control_leaves_the_cranes_guids(
 
 
 # --- one table ----------------------------------------------------------------------------------
+
+
+def test_what_a_header_announces_stays_in_its_library() -> None:
+    headers = {file.name: file.read_text() for file in NATIVE.glob("*.h")}
+    names = {name for name in headers if announced(headers[name])}
+    assert {"crane.h", "nonlinear.h", "text.h"} <= names and "scheme.h" not in names
+    for name in names:
+        inside = re.search(r"(?ms)^HIDDEN$(.*)^SHOWN$", headers[name])
+        assert inside and announced(inside[1]) == announced(headers[name]), name
+        assert '#include "names.h"' in headers[name], name
 
 
 def without_comments(text: str) -> str:

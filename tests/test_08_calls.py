@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import in_fresh_process
+from fmpy import read_model_description
 from test_08_hosts import all_fmus, every
 
 from chaincrane.clock import TIME_TOLERANCE, is_beyond, is_now, meant_step
@@ -90,6 +91,13 @@ def test_a_run_at_the_end_of_a_day_is_the_run_at_its_start(
     assert late == zero
     assert last == zero
     assert zero[1:] == [steps, [2, 2]]
+
+
+def test_every_output_and_input_is_a_real(all_fmus: dict[str, str]) -> None:
+    """For tools that read and set all of them as Reals."""
+    for fmu in all_fmus.values():
+        rows = read_model_description(fmu).modelVariables
+        assert {v.type for v in rows if v.causality != "parameter"} == {"Real"}
 
 
 # --- stop time and phases ---------------------------------------------------------------------

@@ -215,9 +215,14 @@ _ANNOUNCED = re.compile(
 )
 
 
+def announced(header: str) -> list[str]:
+    """Names of the functions and objects that a header of ours announces."""
+    return _ANNOUNCED.findall(header)
+
+
 def names_header(prefix: str, headers: Iterable[str]) -> str:
     """names.h: all that ``headers`` announce gets a name of this library's alone, hidden in it."""
-    names = sorted({name for text in headers for name in _ANNOUNCED.findall(text)})
+    names = sorted({name for text in headers for name in announced(text)})
     return "\n".join(
         (
             "/* Written by the build: do not edit. What is not FMI's is named after the library,",

@@ -17,6 +17,13 @@
 #include "start_values.h"
 #include "text.h"
 
+#if defined(FMI2_FUNCTION_PREFIX) /* as the standard has it; some copies of its header do not */
+#undef fmi2FullName
+#define PASTED(prefix, name) prefix##name
+#define PREFIXED(prefix, name) PASTED(prefix, name)
+#define fmi2FullName(name) PREFIXED(FMI2_FUNCTION_PREFIX, name)
+#endif
+
 /* Of a velocity: what a command on a slope may be off by at the end of a step and still go on from
    there without a jump. */
 static const double CONTINUES = 1e-12;
