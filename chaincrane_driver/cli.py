@@ -126,22 +126,16 @@ def command_figures(options: argparse.Namespace) -> int:
         panels.append((label, one, results))
         units = checked_units(one, options.fmus)
         print(f"{one.title}\n\n{compare.comparison_table(one, results, units)}\n")
-    drawings = [
-        ("fig5_payload_absolute", "payload.x", "Absolute motion of the payload"),
-        ("fig6_payload_relative", "payload.x_rel", "Motion of the payload relative to the trolley"),
-        ("fig7_middle_relative", "chain.mid_x_rel", "Relative motion of the chain's middle point"),
-    ]
+    drawings = {
+        "fig5_payload_absolute": "payload.x",
+        "fig6_payload_relative": "payload.x_rel",
+        "fig7_middle_relative": "chain.mid_x_rel",
+    }
     with progress_bar(total=1 + len(drawings), desc="figures") as bar:
-        written = plots.shape_figure(
-            panels,
-            plots.SHAPE_TIMES,
-            "Position and shape of the chain (what the paper's Fig. 4 shows)",
-            options.out / "fig4_shapes",
-        )
+        written = plots.shape_figure(panels, plots.SHAPE_TIMES, options.out / "fig4_shapes")
         bar.update()
-        for number, (stem, signal, title) in enumerate(drawings, start=5):
-            title = f"{title} (what the paper's Fig. {number} shows)"
-            written += plots.motion_figure(panels, signal, title, options.out / stem)
+        for stem, signal in drawings.items():
+            written += plots.motion_figure(panels, signal, options.out / stem)
             bar.update()
     print("written: " + ", ".join(str(path) for path in written))
     return 0

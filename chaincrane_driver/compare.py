@@ -52,7 +52,9 @@ def difference(truth: Table, other: Table, signal: str) -> Difference:
 
 def shown(unit: str | None) -> tuple[float, str]:
     """Factor and name of the unit that values of ``unit`` are shown in: lengths in mm."""
-    return (1e3, f"m{unit}") if unit in IN_THOUSANDTHS else (1.0, unit or "")
+    if unit in IN_THOUSANDTHS:
+        return 1e3, f"m{unit}"
+    return 1.0, (unit or "").replace("m/s2", "m/s\N{SUPERSCRIPT TWO}").replace("N.s", "N s")
 
 
 def comparison_table(

@@ -19,19 +19,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Colours that stay apart for colour-blind eyes (Okabe & Ito); the truth is black.
+# Colours that stay apart for colour-blind eyes (after Okabe & Ito), each dashed in its own way, so
+# that they do in grey too; the truth is black.
 STYLES: tuple[dict[str, Any], ...] = (
-    {"color": "black", "linewidth": 1.6},
-    {"color": "#0072B2", "linewidth": 1.2},
-    {"color": "#D55E00", "linewidth": 1.2, "linestyle": (0, (5, 2))},
-    {"color": "#009E73", "linewidth": 1.0, "linestyle": (0, (1, 1.5))},
+    {"color": "black", "linewidth": 1.4},
+    {"color": "#0072B2", "linewidth": 1.1, "linestyle": (0, (6, 1.5))},
+    {"color": "#D55E00", "linewidth": 1.1, "linestyle": (0, (3, 1.5))},
+    {"color": "#00795A", "linewidth": 1.1, "linestyle": (0, (1, 1.2))},
+    {"color": "#A34F84", "linewidth": 1.1, "linestyle": (0, (6, 1.5, 1, 1.5))},
+    {"color": "#7A6A00", "linewidth": 1.1, "linestyle": (0, (3, 1.2, 1, 1.2, 1, 1.2))},
 )
 RUN_STYLES = (*STYLES[:3], {"color": "0.6", "linewidth": 1.0})  # the last: for comparison
-SIGNAL_TITLES = {
-    "payload.x": "payload, absolute: payload.x",
-    "payload.x_rel": "payload, relative to the trolley: payload.x_rel",
-    "chain.mid_x_rel": "middle of the chain, relative: chain.mid_x_rel",
+# What a signal is called on an axis; others by their name.
+QUANTITIES = {
+    "payload.x": "payload's position x",
+    "payload.x_rel": "payload's sway",
+    "chain.mid_x_rel": "chain's middle, rel.",
 }
+WIDTH = 125 / 25.4  # in, of a figure as a journal sets it; type is 8 pt then
+TYPE = 8  # pt
 # Name, colour of lines, colour of bands.
 ERROR_STYLES = (("time error", "#D55E00", "#E69A66"), ("mesh error", "#0072B2", "#BFDCEC"))
 BELOW, ABOVE = 100.0, 4.0  # an axis of errors reaches so far below the least and above the largest
@@ -51,7 +57,15 @@ def new_figure(
 
     plt.rcParams.update(
         {
-            "font.size": 9,
+            "font.size": TYPE,
+            "axes.titlesize": TYPE,
+            "axes.labelsize": TYPE,
+            "xtick.labelsize": TYPE,
+            "ytick.labelsize": TYPE,
+            "legend.fontsize": TYPE,
+            "figure.titlesize": TYPE,
+            "pdf.fonttype": 42,  # letters stay letters
+            "lines.solid_capstyle": "butt",
             "axes.grid": True,
             "grid.alpha": 0.25,
             "axes.spines.top": False,
@@ -67,25 +81,38 @@ def new_figure(
 
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write a figure as PNG, SVG and PDF, the last two the same bytes each time; the paths."""
     import matplotlib.pyplot as plt
 
     stem.parent.mkdir(parents=True, exist_ok=True)
-    paths = [stem.with_suffix(".png"), stem.with_suffix(".svg")]
-    figure.savefig(paths[0], dpi=200)
+    paths = [stem.with_suffix(f".{kind}") for kind in ("png", "svg", "pdf")]
+    figure.savefig(paths[0], dpi=300)
     figure.savefig(paths[1], metadata={"Date": None})
+    figure.savefig(paths[2], metadata={"CreationDate": None})
     plt.close(figure)
     return paths
 
 
-def _curves(
-    axes: Axes, runs: tuple[Run, ...], results: Results, signal: str, unit: str | None = "m"
-) -> None:
-    factor, name = shown(unit)
+def quantity(signal: str, unit: str) -> str:
+    """An axis' name: the quantity and its unit."""
+    name = QUANTITIES.get(signal, signal)
+    return f"{name}, {unit}" if unit else name
+
+
+def _curves(axes: Axes, runs: Sequence[Run], results: Results, signal: str, factor: float) -> None:
     for run, style in zip(runs, cycle(STYLES), strict=False):
         table = results[run.name]
         axes.plot(table["time"], factor * table[signal], label=run.label, **style)
-    axes.set_title(SIGNAL_TITLES.get(signal, signal), loc="left", fontsize=9)
-    axes.set_ylabel(name)
+    axes.margins(x=0)
+
+
+def _differences(
+    axes: Axes, runs: Sequence[Run], results: Results, signal: str, factor: float
+) -> None:
+    """Each run's signal less the first run's, in the runs' styles."""
+    truth = results[runs[0].name]
+    for run, style in list(zip(runs, cycle(STYLES), strict=False))[1:]:
+        axes.plot(truth["time"], factor * (results[run.name][signal] - truth[signal]), **style)
     axes.margins(x=0)
 
 
@@ -94,90 +121,106 @@ def comparison(
 ) -> list[Path]:
     """Each signal looked at, of all runs, and below it their differences to the first run."""
     count = len(scenario.look_at)
-    figure, axes = new_figure(2, count, 5.2 * count, 5.0, sharex=True, height_ratios=(2, 1))
-    truth = results[scenario.runs[0].name]
+    width = WIDTH * max(1.0, count / 2)
+    figure, axes = new_figure(2, count, width, 3.6, sharex=True, height_ratios=(2, 1.2))
     for column, signal in enumerate(scenario.look_at):
         top, bottom = axes[0, column], axes[1, column]
         factor, unit = shown(units[signal])
-        _curves(top, scenario.runs, results, signal, units[signal])
-        for run, style in list(zip(scenario.runs, cycle(STYLES), strict=False))[1:]:
-            gap = results[run.name][signal] - truth[signal]
-            bottom.plot(truth["time"], factor * gap, **style)
-        bottom.set_title(f"difference to: {scenario.runs[0].label}", loc="left", fontsize=9)
-        bottom.set_ylabel(unit)
+        _curves(top, scenario.runs, results, signal, factor)
+        top.set_ylabel(quantity(signal, unit))
+        _differences(bottom, scenario.runs, results, signal, factor)
+        bottom.set_ylabel(f"difference, {unit}")
         bottom.set_xlabel("time, s")
-    figure.suptitle(scenario.title)
+    figure.suptitle(f"{scenario.title}; below: less {scenario.runs[0].label}")
     _legend(figure, axes[0, 0])
     return save_figure(figure, stem)
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
+    """A legend below the panels, in as many columns as the figure is wide enough for."""
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    longest = max(map(len, labels))
+    columns = int(figure.get_figwidth() * 72 / (TYPE * (0.55 * longest + 5)))
+    columns = min(len(labels), max(1, columns))
+    rows = ceil(len(labels) / columns)
+    columns = ceil(len(labels) / rows)  # four in two rows of two, not of three and one
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
 
 
 def motion_figure(
-    panels: list[tuple[str, Scenario, Results]], signal: str, title: str, stem: Path
+    panels: list[tuple[str, Scenario, Results]], signal: str, stem: Path
 ) -> list[Path]:
-    """One signal, a panel for each payload (Figs. 5 to 7): the linear cranes on the nonlinear."""
-    figure, axes = new_figure(1, len(panels), 4.8 * len(panels), 3.1)
+    """One signal, a column for each payload (Figs. 5 to 7): linear cranes on the nonlinear.
+
+    Below it the differences to the nonlinear one, as the curves themselves nearly coincide.
+    """
+    size = WIDTH, 3.4
+    figure, axes = new_figure(
+        2, len(panels), *size, sharex=True, sharey="row", height_ratios=(2, 1.1)
+    )
     for place, (name, scenario, results) in enumerate(panels):
         runs = tuple(run for run in scenario.runs if run.name != "massless")
-        panel = axes[0, place]
-        _curves(panel, runs, results, signal)
-        panel.set_title(f"{'ab'[place]}) {name}", loc="left", fontsize=9)
-        panel.set_xlabel("time, s")
-    figure.suptitle(title)
+        top, bottom = axes[0, place], axes[1, place]
+        _curves(top, runs, results, signal, 1e3)
+        _differences(bottom, runs, results, signal, 1e3)
+        top.set_title(f"{'ab'[place]}) {name}", loc="left")
+        bottom.set_xlabel("time, s")
+    axes[0, 0].set_ylabel(quantity(signal, "mm"))
+    axes[1, 0].set_ylabel("difference, mm")
     _legend(figure, axes[0, 0])
     return save_figure(figure, stem)
 
 
-def shape_figure(
-    panels: list[tuple[str, Scenario, Results]], times: tuple[float, ...], title: str, stem: Path
-) -> list[Path]:
-    """Position and shape of the chain at some times (Fig. 4), nonlinear and linear side by side."""
+def shape_colours(count: int) -> list[Any]:
+    """So many colours from early to late; the last, too, stands out from white by 3:1."""
     import matplotlib
 
-    figure, axes = new_figure(len(panels), 2, 9.0, 3.6 * len(panels), sharex=True, sharey=True)
-    colours = matplotlib.colormaps["viridis"]
-    norm = matplotlib.colors.Normalize(min(times), max(times))
+    colours = matplotlib.colormaps["plasma"]
+    return [colours(0.6 * place / max(1, count - 1)) for place in range(count)]
+
+
+def shape_figure(
+    panels: list[tuple[str, Scenario, Results]], times: tuple[float, ...], stem: Path
+) -> list[Path]:
+    """Position and shape of the chain at some times (Fig. 4), nonlinear and linear side by side."""
+    figure, axes = new_figure(len(panels), 2, WIDTH, 1.75 * len(panels), sharex=True, sharey=True)
+    colours = shape_colours(len(times))
     for row, (name, scenario, results) in enumerate(panels):
         for column, run in enumerate(scenario.runs[:2]):
             panel, table = axes[row, column], results[run.name]
-            for time in times:
+            for time, colour in zip(times, colours, strict=True):
                 at = table[int(np.argmin(np.abs(table["time"] - time)))]
                 x = [at["trolley.x"]] + [at[f"chain.x[{i}]"] for i in range(1, SHAPE_POINTS + 1)]
                 y = [0.0] + [at[f"chain.y[{i}]"] for i in range(1, SHAPE_POINTS + 1)]
-                colour = colours(norm(time))
-                panel.plot(x, y, color=colour, linewidth=1.1)
-                panel.plot(x[-1], y[-1], "o", color=colour, markersize=4)
-                panel.plot(x[0], y[0], "s", color=colour, markersize=3)
+                panel.plot(x, y, color=colour, linewidth=0.9, label=f"{time:.2f}")
+                panel.plot(x[-1], y[-1], "o", color=colour, markersize=2.5)
+                panel.plot(x[0], y[0], "s", color=colour, markersize=2)
             panel.set_aspect("equal")
-            panel.set_title(f"{'abcd'[2 * row + column]}) {name}, {run.label}", loc="left", size=9)
+            kind = run.label.partition(",")[0]
+            panel.set_title(f"{'abcd'[2 * row + column]}) {name}, {kind}", loc="left")
+            panel.tick_params(labelbottom=True, labelleft=True)
             panel.set_xlabel("x, m")
         axes[row, 0].set_ylabel("y, m")
-    bar = figure.colorbar(
-        matplotlib.cm.ScalarMappable(norm, colours), ax=axes, shrink=0.6, pad=0.02
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside right center", title="time, s", frameon=False, handlelength=1
     )
-    bar.set_label("time, s")
-    figure.suptitle(title)
     return save_figure(figure, stem)
 
 
 def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> list[Path]:
     """Position, sway, estimate against truth, and command; the first run is the one estimated."""
-    figure, axes = new_figure(2, 2, 9.6, 5.6, sharex=True)
+    figure, axes = new_figure(2, 2, 1.3 * WIDTH, 4.2, sharex=True)
     panels = (
-        ("crane::payload.x", 1.0, "position of the payload: payload.x", "m"),
-        ("crane::payload.x_rel", 1e3, "sway: payload.x_rel", "mm"),
-        ("antisway::trolley.a_cmd", 1.0, "command: trolley.a_cmd", "m/s2"),
+        ("crane::payload.x", 1.0, "payload's position x", "m"),
+        ("crane::payload.x_rel", 1e3, "payload's sway", "mm"),
+        ("antisway::trolley.a_cmd", 1.0, "command, acceleration", "m/s²"),
     )
     for place, (name, scale, text, unit) in zip((0, 1, 3), panels, strict=True):
         panel = axes.flat[place]
         for (label, table), style in zip(runs, RUN_STYLES, strict=False):
             panel.plot(table["time"], scale * table[name], label=label, **style)
-        panel.set_title(text, loc="left", fontsize=9)
-        panel.set_ylabel(unit)
+        panel.set_ylabel(f"{text}, {unit}")
         panel.margins(x=0)
     time, first = runs[0][1]["time"], runs[0][1]
     gap = 1e3 * (first["observer::payload.x_rel"] - first["crane::payload.x_rel"])
@@ -185,9 +228,10 @@ def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> li
     panel = axes[1, 0]
     panel.fill_between(time, -band, band, color="0.88", linewidth=0, label="twice its deviation")
     panel.plot(time, gap, color="black", linewidth=1.0, label="estimate less truth")
-    panel.legend(frameon=False, fontsize=8, loc="upper right")
-    panel.set_title(f"error of the estimated sway: {runs[0][0]}", loc="left", fontsize=9)
-    panel.set_ylabel("mm")
+    panel.legend(frameon=False, loc="upper right")
+    panel.set_ylabel("error of estimate, mm")
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, high + 0.4 * (high - low))  # room for the legend
     for panel in axes[1]:
         panel.set_xlabel("time, s")
     figure.suptitle(title)
@@ -197,7 +241,7 @@ def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> li
 
 def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) -> list[Path]:
     """Sway and its estimates' errors, a column for each payload."""
-    figure, axes = new_figure(2, len(panels), 4.8 * len(panels), 5.0, sharex=True, sharey="row")
+    figure, axes = new_figure(2, len(panels), WIDTH, 3.6, sharex=True, sharey="row")
     for column, (label, runs) in enumerate(panels):
         for (name, whole), style in zip(runs, RUN_STYLES, strict=False):
             table = whole[::2]
@@ -206,13 +250,12 @@ def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) 
             if name.startswith("LQR"):
                 gap = 1e3 * table["observer::payload.x_rel"] - sway
                 axes[1, column].plot(time, gap, **style)
-        axes[0, column].set_title(f"{label} payload: sway, payload.x_rel", loc="left", fontsize=9)
-        axes[1, column].set_title("estimate less truth", loc="left", fontsize=9)
+        axes[0, column].set_title(f"{'ab'[column]}) {label} payload", loc="left")
         axes[1, column].set_xlabel("time, s")
         axes[0, column].margins(x=0)
-    for row in range(2):
-        axes[row, 0].set_ylabel("mm")
-    figure.suptitle("1 m within 0.5 m/s and 1 m/s2; rope-angle sensor, 0.5 degree noise")
+    axes[0, 0].set_ylabel("payload's sway, mm")
+    axes[1, 0].set_ylabel("estimate less truth, mm")
+    figure.suptitle("1 m within 0.5 m/s and 1 m/s²; rope-angle sensor, 0.5 degree noise")
     _legend(figure, axes[0, 0])
     return save_figure(figure, stem)
 
@@ -239,7 +282,7 @@ def convergence_figure(
         if place + columns >= len(signals):
             bottom.tick_params(labelbottom=True)
             bottom.set_xlabel("time, s")
-    figure.suptitle(f"{title}\n{finding.settings}", fontsize=10)
+    figure.suptitle(f"{title}\n{finding.settings}")
     _legend(figure, axes[0, 0])
     return save_figure(figure, stem)
 
@@ -266,8 +309,7 @@ def _error_band(axes: Axes, finding: Finding, signal: Signal) -> None:
     start = _shade_unpredictable(axes, time, signal)
     if start is not None:
         _say_unpredictable(axes, start, time[-1], signal)
-    axes.set_title(SIGNAL_TITLES.get(signal.name, signal.name), loc="left", fontsize=9)
-    axes.set_ylabel(unit)
+    axes.set_ylabel(quantity(signal.name, unit))
     axes.margins(x=0)
 
 
@@ -278,7 +320,7 @@ def _error_curves(axes: Axes, finding: Finding, signal: Signal) -> None:
     for place, (name, colour, _, error) in enumerate(_errors(signal)):
         if error.exact:
             text, where = f"{name}: none but round-off", (0.02, 0.9 - 0.13 * place)
-            axes.annotate(text, where, xycoords="axes fraction", color=colour, fontsize=8)
+            axes.annotate(text, where, xycoords="axes fraction", color=colour)
             continue
         axes.plot(time, factor * error.local, color=colour, linewidth=0.5, alpha=0.6)
         axes.plot(time, factor * error.running, color=colour, linewidth=1.6)
@@ -290,7 +332,7 @@ def _error_curves(axes: Axes, finding: Finding, signal: Signal) -> None:
         axes.set_yticks([])
     _shade_unpredictable(axes, time, signal)
     text = "estimated errors: at each time (thin), largest so far (bold)"
-    axes.set_title(text, loc="left", fontsize=9)
+    axes.set_title(text, loc="left")
     axes.set_ylabel(unit)
     axes.margins(x=0)
 
@@ -320,5 +362,4 @@ def _say_unpredictable(axes: Axes, start: float, end: float, signal: Signal) -> 
         horizontalalignment="left" if early else "right",
         verticalalignment="bottom",
         color="0.25",
-        fontsize=8,
     )

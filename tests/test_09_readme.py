@@ -51,7 +51,7 @@ def test_the_main_job_runs_from_anywhere(tmp_path: Path) -> None:
     for command in (build, draw):
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
-    assert len(list((tmp_path / "figures").glob("fig*"))) == 8
+    assert len(list((tmp_path / "figures").glob("fig*"))) == 12
 
 
 def run_python(page: str, fmus: Path, folder: Path) -> str:
