@@ -80,6 +80,22 @@ def test_the_hosts_python_runs(fmus: Path, tmp_path: Path) -> None:
     assert -0.3 < float(run_python(DOCS["hosts"], fmus, tmp_path).splitlines()[-1]) < 0.3
 
 
+def test_the_scenario_on_its_page_runs(fmus: Path, tmp_path: Path) -> None:
+    for kind, name in (("toml", "scenario.toml"), ("csv", "motion.csv")):
+        (text,) = re.findall(rf"```{kind}\n(.*?)```", DOCS["scenarios"], flags=re.DOTALL)
+        (tmp_path / name).write_text(text)
+    for more in (["--update"], []):
+        assert cli.main(["check", str(tmp_path), "--fmus", str(fmus), *more]) == 0
+
+
+def test_the_scenario_page_has_every_key() -> None:
+    told = {row[0].strip("`[]").split('."')[0] for row in rows(DOCS["scenarios"], 2)}
+    for table, keys in scenario.KEYS.items():
+        for key in keys:
+            one = f"{table}.{key}" if table else key
+            assert table == "tolerance" or one in told | {"experiment", "run"}, one
+
+
 def test_the_interface_table_is_the_interface() -> None:
     listed = {row[0]: row for row in rows(DOCS["interface"], 5)}
     for variable in VARIABLES:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -49,10 +50,12 @@ def wheel(fmus: Path, native_fmus: Path, tmp_path_factory: pytest.TempPathFactor
 
 def run_in(wheel: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """chaincrane as the wheel has it, in a folder, with no home that could be written."""
+    no_home = wheel.parent / "no_home"
+    no_home.touch()  # a file
     return subprocess.run(
         [sys.executable, "-m", "chaincrane_driver", *arguments],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(wheel), "HOME": str(folder / "no" / "home")},
+        env={**os.environ, "PYTHONPATH": str(wheel), "HOME": str(no_home)},
         capture_output=True,
         text=True,
         timeout=120,
@@ -196,3 +199,24 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(fmus: Path, tmp_path: Path, job: 
     assert lines == ["chaincrane: stopped"], errors
     assert not list(temporary.iterdir())
     assert not [path for path in out.rglob("*") if path.suffix in (".part", ".fmu")]
+
+
+# --- what an FMU says of itself -----------------------------------------------------------------
+
+
+def test_an_fmus_page_says_what_it_needs(fmus: Path, native_fmus: Path) -> None:
+    """The packages that its slave asks for, and the twin that needs none."""
+    for fmu in [*fmus.glob("*.fmu"), *native_fmus.glob("*.fmu")]:
+        with zipfile.ZipFile(fmu) as archive:
+            page = archive.read("documentation/index.html").decode()
+        (needs,) = re.findall(r"<h2>What it needs</h2>\n<p>(.*)</p>", page)
+        if fmu.stem.endswith("_native"):
+            assert needs.startswith("Nothing") and "macOS" in needs
+            continue
+        assert "Python 3.10" in needs and "on Linux or Windows" in needs
+        slave = (ROOT / "fmu_src" / f"{fmu.stem}.py").read_text()
+        asked = re.findall(r"require\((.*?)\)", slave)
+        packages = re.findall(r'"(\w+)"', asked[0]) if asked else []
+        for package in packages:
+            assert package in needs.lower()
+        assert (f"{fmu.stem}_native.fmu" in needs) == fmu.stem.startswith(("crane_nl", "crane_lin"))

@@ -23,6 +23,7 @@ class Fmu:
     description: str
     variables: tuple[Variable, ...]
     page: str = "index.html"  # its documentation, in the documentation folder
+    packages: tuple[str, ...] = ()  # that its Python needs
     linear: bool = False  # its outputs start from what a linear crane's do
     kernel: str | None = None  # C file of the crane that it loads as a library
     crane: str | None = None  # of a native FMU: C file of its crane
@@ -51,18 +52,20 @@ _IN_C = "; native, no Python inside"
 
 FMUS = {
     "crane_nl": Fmu(_NONLINEAR, interface.VARIABLES, kernel="tolerance.c"),
-    "crane_lin": Fmu(_LINEAR, interface.VARIABLES, linear=True),
+    "crane_lin": Fmu(_LINEAR, interface.VARIABLES, packages=("NumPy",), linear=True),
     "crane_observer": Fmu(
         "Observer of an overhead crane's chain and payload: a steady-state Kalman filter on the"
         " linear crane, from a camera or a rope-angle sensor",
         observer_interface.VARIABLES,
         "control.html",
+        ("NumPy", "SciPy"),
     ),
     "crane_antisway": Fmu(
         "Anti-sway controller of an overhead crane: LQR on the estimate, or an open-loop move,"
         " shaped or plain, within limits of velocity and acceleration",
         antisway_interface.VARIABLES,
         "control.html",
+        ("NumPy", "SciPy"),
     ),
     "crane_nl_native": Fmu(_NONLINEAR + _IN_C, interface.VARIABLES, crane="tolerance.c"),
     "crane_lin_native": Fmu(_LINEAR + _IN_C, interface.VARIABLES, linear=True, crane="linear.c"),

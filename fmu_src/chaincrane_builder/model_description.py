@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from chaincrane.build_info import VERSION
 from chaincrane.variables import UNITS, Variable
 
-from .fmus import FMUS, Fmu
+from .fmus import FMUS, NATIVE, Fmu
 
 LOG_CATEGORIES = {
     "logStatusWarning": "fmi2Warning: something to know of, the result stands",
@@ -109,7 +109,31 @@ def documentation(model: str, sources: str, template: str) -> str:
         description=escape(fmu.description),
         version=version(sources),
         interface="\n".join(rows),
+        needs=needs(model),
     )
+
+
+def needs(model: str) -> str:
+    """What a host of ``model``'s FMU must have, as HTML; it names the native twin."""
+    fmu = FMUS[model]
+    if fmu.crane is not None:
+        return (
+            "Nothing: no Python and no package. It has binaries for Linux (glibc 2.17 or newer),"
+            " Windows (10 or newer) and macOS, all x86-64, and its C sources for other machines."
+        )
+    packages = " and ".join(fmu.packages) or "no package"
+    spare = " (NumPy and SciPy only where its C kernel cannot be loaded)" if fmu.kernel else ""
+    text = (
+        f"Python 3.10 or newer in the host's process, with {packages}{spare}, on Linux or Windows,"
+        " x86-64: that is what pythonfmu has a wrapper for."
+    )
+    twin = model + NATIVE
+    if twin in FMUS:
+        text += (
+            f" A host that is no Python process is served better by <code>{twin}.fmu</code>:"
+            " the same interface and model in C, which needs nothing."
+        )
+    return text
 
 
 def version(sources: str) -> str:
