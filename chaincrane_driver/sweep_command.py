@@ -9,6 +9,7 @@ import numpy as np
 
 from . import dataset, scenario, vary
 from .antisway import Setup, parse_setting
+from .cluster import dask
 from .compare import markdown_table, shown
 from .dataset import Results
 from .errors import UserError, instead
@@ -100,6 +101,10 @@ def _drawn(subject: Subject, names: tuple[str, ...]) -> list[Metric]:
 def _scheduler(options: argparse.Namespace) -> Scheduler:
     if options.processes is not None and options.processes < 1:
         raise UserError(f"--processes {options.processes} is not allowed: 1 or more")
+    if options.scheduler is not None:
+        if options.processes is not None:
+            raise UserError("--processes is for this machine: the cluster has its own")
+        return dask(options.scheduler)
     return local(options.processes)
 
 
@@ -147,5 +152,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--draw", type=names, default=(), metavar="METRIC,METRIC", help="what the picture shows"
     )
     parser.add_argument("--processes", type=int, metavar="N", help="workers (one a core)")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask cluster to run on, tcp://HOST:8786 say"
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder (results/sweep_NAME)")
     parser.add_argument("--anew", action="store_true", help="discard what is in the folder")
