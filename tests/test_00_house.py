@@ -54,6 +54,7 @@ WITH_TWINS = [
     "energy_momentum.c",
     "jump.c",
     "newmark.c",
+    "truss.c",
     "nonlinear.c",
     "tolerance.c",
     "linear.c",

@@ -5,11 +5,11 @@
 
 #include <string.h>
 
-#include "crane.h"
 #include "energy_momentum.h"
 #include "jump.h"
 #include "newmark.h"
 #include "nonlinear.h"
+#include "truss.h"
 
 static const Scheme *const SCHEME[] = {[SOLVER_SCHEME_ENERGY_MOMENTUM] = &ENERGY_MOMENTUM_SCHEME,
                                        [SOLVER_SCHEME_NEWMARK] = &NEWMARK_SCHEME};
@@ -24,19 +24,27 @@ typedef struct {
     State state, trial;               /* committed, and during a communication step */
     State companion, trial_companion; /* a second solution, steps twice as long; head NULL: none */
     Workspace work;
+    void *own; /* the formulation's memory */
 } NonlinearCrane;
 
-static double mechanical_energy(const Chain *c, const Motion *motion, double trolley_v) {
-    return kinetic_energy(c, motion->w, trolley_v) + potential_energy(c, motion->r);
+static const Formulation *formulation_of(const Settings *settings) {
+    (void)settings; /* there is one */
+    return &TRUSS;
+}
+
+static double mechanical_energy(const Workspace *work, const Motion *motion, double trolley_v) {
+    return formulation_of(&work->chain.settings)->energy(work, motion, trolley_v);
 }
 
 /* The largest so far of start above rest + (M + m) (v - v_start)^2/2 + |work of the payload's
-   force|, J: what the trolley and that force can have put into the swing, in any frame. */
+   force|, J: what the trolley and that force can have put into the swing, in any frame; in air,
+   + (M + m) v^2/2, what a wind of the trolley's speed can. */
 static double energy_scale(const Chain *c, const NonlinearState *s, double trolley_v) {
     double speed = c->settings.initial_speed, changed = trolley_v - speed;
+    double wind = c->settings.damping_air != 0.0 ? trolley_v : 0.0;
     double start = s->shared.ledger_start - 0.5 * c->total_mass * speed * speed;
-    return larger(s->scale,
-                  start + 0.5 * c->total_mass * changed * changed + fabs(s->shared.ledger_payload));
+    double put_in = start + 0.5 * c->total_mass * (changed * changed + wind * wind);
+    return larger(s->scale, put_in + fabs(s->shared.ledger_payload));
 }
 
 /* The next step is a new start for the scheme. */
@@ -72,7 +80,7 @@ static double settle(Workspace *work, Motion *motion, double trolley_v, double m
     double share = 1.0;
     for (int i = 0; i < MAX_HALVINGS; i++) {
         settled(work, motion, share);
-        double now = mechanical_energy(c, &work->end, trolley_v);
+        double now = mechanical_energy(work, &work->end, trolley_v);
         if (now <= most) {
             for (int e = 0; e < c->n; e++) {
                 double elastic = axial_force(c, norm(along(motion->r, e)));
@@ -90,9 +98,7 @@ static double settle(Workspace *work, Motion *motion, double trolley_v, double m
 /* The drive's impulse, N s: all change of momentum, by the nodes' velocities in work->unknown. */
 static double drive_impulse(const Workspace *work, double dv) {
     const Chain *c = &work->chain;
-    double momentum = 0.0;
-    for (int i = 0; i < c->n; i++) momentum += row_mass(c, i) * work->unknown[i].x;
-    return c->total_mass * dv + momentum;
+    return c->total_mass * dv + formulation_of(&c->settings)->momentum(work, work->unknown);
 }
 
 /* The trolley's velocity jumps to ``after``; the drive's impulse works at the mean velocity. What the
@@ -110,12 +116,12 @@ static void jump(Workspace *work, State *s, const Command *command, double after
     int settles = scheme_of(c)->jump(work, motion, command, after, dv);
     double impulse = drive_impulse(work, dv), scale = energy_scale(c, s->head, after);
     double most = s->head->energy + mean * impulse + JUMP_GAIN * scale;
-    double energy = mechanical_energy(c, motion, after);
+    double energy = mechanical_energy(work, motion, after);
     if (settles && energy > most) {
         memcpy(motion->w, work->end.w, nodes);
         settles = plain_jump(work, motion, command, after, dv);
         impulse = drive_impulse(work, dv);
-        energy = mechanical_energy(c, motion, after);
+        energy = mechanical_energy(work, motion, after);
     }
     if (settles) {
         energy = settle(work, motion, after, most, energy);
@@ -135,8 +141,9 @@ static Outcome check_energy(const Chain *c, const NonlinearState *s, double ledg
     double floor = ROUND_OFF_ENERGY * weight * c->settings.chain_length;
     double scale = s->scale;
     double total = energy - ledger, step = total - (s->energy - expected_energy(&s->shared));
-    if (!(fabs(step) <= STEP_ENERGY_TOLERANCE * scale + floor)) {
-        *failure = (Failure){0.0, h, step, scale, STEP_ENERGY_TOLERANCE};
+    double allowed = formulation_of(&c->settings)->step_energy_tolerance;
+    if (!(fabs(step) <= allowed * scale + floor)) {
+        *failure = (Failure){0.0, h, step, scale, allowed};
         return STEP_ENERGY;
     }
     if (!(fabs(total) <= TOTAL_ENERGY_TOLERANCE * scale + floor)) {
@@ -167,7 +174,7 @@ static Outcome attempt(Workspace *work, State *s, const Load *load, double h, Fa
     next.shared.ledger_trolley += result.work_trolley;
     next.shared.ledger_payload += result.work_payload;
     next.shared.ledger_dissipated += result.dissipated;
-    next.energy = mechanical_energy(c, end, trolley_v_after(load, h));
+    next.energy = mechanical_energy(work, end, trolley_v_after(load, h));
     outcome = check_energy(c, head, expected_energy(&next.shared), next.energy, h, failure);
     if (outcome != DONE) return outcome;
     next.scale = energy_scale(c, &next, trolley_v_after(load, h));
@@ -248,7 +255,7 @@ static Outcome compared_step(NonlinearCrane *crane, double v, const Command *com
     tension = 0.5 * (tension + fine->motion.tension[0]);
     force = 0.5 * (force + head->trolley_fx);
     int slack = head->slack_time > 0.0 || other->head->slack_time > 0.0;
-    double share = slack ? SLACK_SHARE : TAUT_SHARE;
+    double share = formulation_of(&work->chain.settings)->error_share(slack);
     head->error_payload = larger(head->error_payload, share * norm(gap));
     head->error_tension_top =
         larger(head->error_tension_top, fabs(tension - other->motion.tension[0]));
@@ -305,8 +312,10 @@ static size_t lay_out(NonlinearCrane *crane, char *memory, const Settings *setti
     Vector *vectors = take(memory, &used, 8 * n * sizeof(Vector));
     double *numbers = take(memory, &used, 4 * n * sizeof(double));
     Block *blocks = take(memory, &used, 4 * n * sizeof(Block));
+    void *own = take(memory, &used, formulation_of(settings)->memory(settings));
     if (memory) {
         Workspace *work = &crane->work;
+        crane->own = own;
         crane->state = state_at(committed, elements);
         crane->trial = state_at(trial, elements);
         if (has_companion(settings)) {
@@ -348,49 +357,26 @@ static int load(void *memory, const double *state, size_t count) {
 
 /* ---- the crane ---- */
 
-/* Force of the drive in the instant of release, N: node 0's row of dynamic equilibrium. */
-static double released_force(Workspace *work, const State *s) {
-    static const Command idle;
-    const Chain *c = &work->chain;
-    const Motion *motion = &s->motion;
-    int n = c->n, hangs = c->settings.initial_sway_angle == 0.0; /* in balance */
-    double v = s->head->shared.trolley_v;
-    Vector *a = work->unknown;
-    for (int i = 0; i < n; i++) {
-        Vector d = along(motion->r, i), weight = {0.0, i < n - 1 ? c->inner_weight : c->end_weight};
-        double pull = motion->tension[i] / norm(d);
-        a[i] = applied_force(c, &idle, v, i);
-        a[i] = minus(a[i], hangs ? weight : (Vector){pull * d.x, pull * d.y});
-        if (i && !hangs) {
-            a[i - 1].x += pull * d.x;
-            a[i - 1].y += pull * d.y;
-        }
-    }
-    mass_solve(c, work->l0, a);
-    double carried = carried_force(c, &idle, v, a[0].x, a[n - 1].x);
-    return carried - motion->tension[0] * motion->r[0].x / norm(motion->r[0]);
-}
-
 static void create(void *memory, const Settings *settings) {
     NonlinearCrane *crane = memory;
-    Chain *c = &crane->work.chain;
+    Workspace *work = &crane->work;
+    Chain *c = &work->chain;
+    const Formulation *formulation = formulation_of(settings);
     int n = (int)settings->chain_elements;
     memset(memory, 0, memory_size(settings));
     lay_out(crane, memory, settings);
     discretise(c, settings);
-    for (int i = 0; i < n; i++) crane->work.end.a[i] = (Vector){NAN, NAN};
-    straight_chain(c, 0.0, crane->work.end.r);
-    c->rest_potential = potential_energy(c, crane->work.end.r);
+    for (int i = 0; i < n; i++) work->end.a[i] = (Vector){NAN, NAN};
+    formulation->prepare(work, crane->own);
     State *s = &crane->state;
     Motion *motion = &s->motion;
-    straight_chain(c, settings->initial_sway_angle, motion->r);
-    for (int e = 0; e < n; e++) motion->tension[e] = axial_force(c, norm(along(motion->r, e)));
+    formulation->straight(work, settings->initial_sway_angle, motion);
     s->head->shared.trolley_v = settings->initial_speed;
-    s->head->energy = mechanical_energy(c, motion, settings->initial_speed);
+    s->head->energy = mechanical_energy(work, motion, settings->initial_speed);
     s->head->shared.ledger_start = s->head->energy;
-    s->head->scale = potential_energy(c, motion->r);
+    s->head->scale = formulation->potential(work, motion->r);
     forget_load(c, s);
-    s->head->trolley_fx = released_force(&crane->work, s);
+    s->head->trolley_fx = formulation->released_force(work, motion, settings->initial_speed);
     if (has_companion(settings))
         memcpy(crane->companion.head, s->head, solution_count(settings) * sizeof(double));
 }
@@ -399,7 +385,9 @@ static void create(void *memory, const Settings *settings) {
 static Outcome run(NonlinearCrane *crane, double h, double v, const Command *command,
                    Failure *failure) {
     Workspace *work = &crane->work;
-    double count = equal_parts(h, work->chain.settings.solver_max_step);
+    const Settings *settings = &work->chain.settings;
+    double longest = formulation_of(settings)->longest_step(work);
+    double count = equal_parts(h, smaller(settings->solver_max_step, longest));
     int compares = crane->companion.head != NULL;
     if (compares) count = ceil(0.5 * count);
     for (double i = 0.0; i < count; i += 1.0) {
@@ -444,13 +432,8 @@ static void outputs(const void *memory, Outputs *o) {
     const Chain *c = &crane->work.chain;
     const NonlinearState *head = crane->state.head;
     const Motion *motion = &crane->state.motion;
-    Posture posture = {
-        .node1 = motion->r[0], .payload = motion->r[c->n - 1], .payload_w = motion->w[c->n - 1]};
-    for (int i = 0; i < POINTS; i++) {
-        double fraction = material_fraction(i);
-        posture.points[i] = (Vector){interpolate(c, &motion->r->x, 2, fraction),
-                                     interpolate(c, &motion->r->y, 2, fraction)};
-    }
+    Posture posture;
+    formulation_of(&c->settings)->posture(&crane->work, motion, &posture);
     shared_outputs(&head->shared, &posture, head->energy, o);
     o->trolley_fx = head->trolley_fx;
     o->chain_slack_time = head->slack_time;
@@ -465,7 +448,9 @@ static void outputs(const void *memory, Outputs *o) {
 
 static const char *notice(const void *memory) {
     const NonlinearCrane *crane = memory;
-    return is_predictable(&crane->work.chain, crane->state.head) ? NULL : NOT_PREDICTABLE;
+    const Chain *c = &crane->work.chain;
+    const NonlinearState *head = crane->state.head;
+    return is_predictable(c, head) ? NULL : NOT_PREDICTABLE;
 }
 
 /* An internal step; with a companion, which takes one where the crane takes two, a pair of them. */

@@ -3,9 +3,10 @@
 Where the motion is smooth and the scheme of second order, the finer solution is off by a third of
 the difference of the two (Richardson); after jumps and changes of load the order lies between two
 and one, so that it is a half, give or take; where the chain has been slack the order is one, and it
-is all of it. Of forces it is all of it in any case: they show waves that are less well resolved.
-What is told is the largest so far. It sees the time error, and where the motion is one that a small
-change makes another one of; the mesh's error it does not see.
+is all of it. Of forces it is all of it in any
+case: they show waves that are less well resolved. What is told is the largest so far. It sees the
+time error, and where the motion is one that a small change makes another one of; the mesh's error
+it does not see.
 """
 
 from __future__ import annotations
@@ -16,8 +17,6 @@ from math import hypot
 from .chain import Array
 from .scheme import Motion
 
-TAUT_SHARE = 0.5  # of the payloads' distance, what the error is told to be
-SLACK_SHARE = 1.0  # the same, since the chain has been slack
 # Of the chain's length: a motion whose told error is larger counts as unpredictable. The true one
 # is within a factor of three as a rule, and was 20 times as large once, after a slack.
 UNPREDICTABLE = 0.005
@@ -31,12 +30,13 @@ class TimeError:
     tension_top: float = 0.0  # N
     trolley_fx: float = 0.0  # N
 
-    def seen(self, payload: float, tension_top: float, trolley_fx: float, slack: bool) -> TimeError:
+    def seen(
+        self, payload: float, tension_top: float, trolley_fx: float, share: float
+    ) -> TimeError:
         """With the differences of the two solutions after one more step of the longer ones.
 
-        ``slack``: whether the chain has been slack since the start.
+        ``share``: of the payloads' distance, what the error is told to be.
         """
-        share = SLACK_SHARE if slack else TAUT_SHARE
         return TimeError(
             max(self.payload, share * payload),
             max(self.tension_top, tension_top),

@@ -10,7 +10,7 @@ from math import atan2
 import numpy as np
 
 from ..errors import BadState
-from .chain import Array, DiscreteChain, discretise, interpolation
+from .chain import Array, DiscreteChain, discretise
 from .command import IDLE, Command
 from .interface import MATERIAL_POINTS, OUTPUTS, SHARED_STATE
 from .ledger import Effort, Ledger
@@ -18,12 +18,17 @@ from .parameters import Crane, Initial, Numerics, check
 from .trolley import Trolley, checked_move, equal_parts
 
 
+def material_fractions() -> Array:
+    """Fractions of the chain's length of the points that are seen: ten, then the middle, (11,)."""
+    return np.append(np.arange(1, MATERIAL_POINTS + 1) / MATERIAL_POINTS, 0.5)
+
+
 @dataclass(frozen=True)
 class Posture:
     """What is seen of a crane, relative to its trolley."""
 
     points: Array  # m, (11, 2): ten material points from the top, then the middle of the chain
-    node1: Array  # m, (2,), the chain's first node below the trolley
+    node1: Array  # m, (2,), from the trolley along the chain's top: its first node, say
     payload: Array  # m, (2,)
     payload_w: Array  # m/s, (2,)
 
@@ -57,8 +62,6 @@ class CraneModel(ABC):
         self.trolley = Trolley(v=self.initial.speed)
         self.effort = Effort()
         self.impulse = 0.0  # N s, of the jump at the last communication step's start
-        fractions = np.append(np.arange(1, MATERIAL_POINTS + 1) / MATERIAL_POINTS, 0.5)
-        self._interpolation = interpolation(self.numerics.elements, fractions)
 
     def step(self, h: float, command: Command = IDLE) -> None:
         """Advance by ``h`` seconds under a held command.

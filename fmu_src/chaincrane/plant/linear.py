@@ -24,7 +24,7 @@ from .chain import (
     payload_work,
 )
 from .command import IDLE, Command
-from .crane import CraneModel, Posture, Solution
+from .crane import CraneModel, Posture, Solution, material_fractions
 from .interface import LINEAR_STATE, MATERIAL_POINTS
 from .ledger import Effort, Ledger
 from .parameters import Crane, Initial, Numerics
@@ -206,6 +206,7 @@ class LinearCrane(CraneModel):
         self.string = TautString(chain)
         self.modes = self.string.modes
         self._tension = hanging_tension(self.crane, chain.elements)
+        self._interpolation = interpolation(chain.elements, material_fractions())
         self._seen = np.vstack((self._interpolation, np.eye(1, chain.elements)))
         self._seen = self._seen @ self.modes.shapes  # 11 material points, node 1
         depth = chain.L0 * np.arange(1, chain.elements + 1)

@@ -1,45 +1,28 @@
-"""The nonlinear crane: a chain of truss elements, large motions, tension by its own stretch."""
+"""The nonlinear crane: large motions of a chain, in steps whose energy balance is checked."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
 from ..errors import EnergyBalanceBroken, NotConverged
-from . import banded
-from .chain import (
-    Array,
-    DiscreteChain,
-    along_elements,
-    applied_force,
-    axial_force,
-    carried_force,
-    internal_force,
-    kinetic_energy,
-    potential_energy,
-    straight_chain,
-)
-from .command import IDLE, Command
+from .chain import Array, along_elements, axial_force
+from .command import Command
 from .companion import TimeError, apart
 from .crane import CraneModel, Posture, Solution
-from .energy_momentum import EnergyMomentum
+from .formulation import Formulation
 from .interface import LAST_COMMAND, NONLINEAR_STATE, NOT_PREDICTABLE
 from .jump import plain_jump, settled
 from .ledger import Effort, Ledger
-from .newmark import Newmark
 from .parameters import Crane, Initial, Numerics
-from .scheme import Jump, Load, Motion, Scheme
-from .trolley import Trolley
+from .scheme import Jump, Load, Motion
+from .trolley import Trolley, equal_parts
+from .truss import Truss
 
-SCHEME_CLASSES: dict[str, Callable[[DiscreteChain], Scheme]] = {
-    "energy_momentum": EnergyMomentum,
-    "newmark": Newmark,
-}
 MAX_HALVINGS = 12  # of an internal step that does not converge or breaks the energy balance
-STEP_ENERGY_TOLERANCE = 1e-3  # of the energy put in so far, what a step may be off by
-TOTAL_ENERGY_TOLERANCE = 5e-3  # the same, since the start
+TOTAL_ENERGY_TOLERANCE = 5e-3  # of the energy put in so far, what the balance may be off by
 JUMP_GAIN = 1e-4  # of the energy put in so far, what a jump may add
 ROUND_OFF_ENERGY = 1e-9  # of weight times length, what round-off alone may amount to
 
@@ -72,35 +55,20 @@ class NonlinearCrane(CraneModel):
         numerics: Numerics | None = None,
     ) -> None:
         super().__init__(crane, initial, numerics)
-        chain = self.chain
-        self._scheme: Scheme = SCHEME_CLASSES[self.numerics.scheme](chain)
-        r = straight_chain(chain, self.initial.sway_angle)
-        d = along_elements(r)
-        length = np.hypot(d[:, 0], d[:, 1])
-        tension = axial_force(self.crane.chain.EA, chain.L0, length)
-        motion = Motion(r, np.zeros_like(r), tension)
-        energy = self._energy(motion, self.trolley.v)
+        self._chain: Formulation = Truss(self.chain, self.numerics)
+        self._scheme = self._chain.scheme
+        motion = self._chain.straight(self.initial.sway_angle)
+        energy = self._chain.energy(motion, self.trolley.v)
         self._error = TimeError()
         self._state = NonlinearState(
             motion=motion,
             last=None,
             ledger=Ledger(start=energy),
             energy=energy,
-            scale=potential_energy(chain, r),
-            trolley_fx=self._released_force(motion),
+            scale=self._chain.potential(motion.r),
+            trolley_fx=self._chain.released_force(motion, self.trolley.v),
         )
         self._companion = self._state if self.numerics.compares else None
-
-    def _released_force(self, motion: Motion) -> float:
-        """Force of the drive in the instant of release, N: node 0's row of dynamic equilibrium."""
-        chain, v = self.chain, self.trolley.v
-        d = along_elements(motion.r)
-        hangs = self.initial.sway_angle == 0.0  # in balance, which round-off would not be
-        pull = chain.weight if hangs else internal_force(d, motion.tension)
-        force = applied_force(chain, IDLE, v) - pull
-        a = banded.Factors(banded.mass_bands(chain)).solve(force)[:, 0]
-        carried = carried_force(chain, IDLE, v, float(a[0]), float(a[-1]))
-        return carried - float(motion.tension[0] * d[0, 0] / np.hypot(d[0, 0], d[0, 1]))
 
     @property
     def energy(self) -> float:
@@ -122,10 +90,9 @@ class NonlinearCrane(CraneModel):
         """Positions and velocities of the free nodes relative to the trolley."""
         return self._state.motion
 
-    def _energy(self, motion: Motion, trolley_v: float) -> float:
-        return kinetic_energy(self.chain, motion.w, trolley_v) + potential_energy(
-            self.chain, motion.r
-        )
+    def internal_steps(self, h: float) -> int:
+        """Number of equal internal steps for ``h`` seconds; the formulation may want more."""
+        return equal_parts(h, min(self.numerics.max_step, self._chain.longest_step))
 
     def _jump(
         self, state: NonlinearState, command: Command, before: float, after: float
@@ -143,14 +110,14 @@ class NonlinearCrane(CraneModel):
         impulse, work = self._impulse_work(jump, before, after)
         scale = self._scale(state.scale, after, state.ledger)
         most = state.energy + work + JUMP_GAIN * scale
-        motion, energy, dissipated = jump.motion, self._energy(jump.motion, after), 0.0
+        motion, energy, dissipated = jump.motion, self._chain.energy(jump.motion, after), 0.0
         if jump.tension is not None and energy > most:
             jump = plain_jump(chain, state.motion, dv)
             impulse, work = self._impulse_work(jump, before, after)
-            motion, energy = jump.motion, self._energy(jump.motion, after)
+            motion, energy = jump.motion, self._chain.energy(jump.motion, after)
         if jump.tension is not None:
             motion = self._settled(motion, jump.tension, after, most)
-            energy = self._energy(motion, after)
+            energy = self._chain.energy(motion, after)
             dissipated = state.energy + work - energy
         jumped = replace(
             state,
@@ -164,8 +131,7 @@ class NonlinearCrane(CraneModel):
 
     def _impulse_work(self, jump: Jump, before: float, after: float) -> tuple[float, float]:
         """The drive's impulse, N s, all change of momentum; its work, J, at the mean velocity."""
-        momentum = float(self.chain.row_mass @ jump.dw[:, 0])
-        impulse = self.crane.total_mass * (after - before) + momentum
+        impulse = self.crane.total_mass * (after - before) + self._chain.momentum(jump.dw)
         return impulse, 0.5 * (before + after) * impulse
 
     def _settled(self, motion: Motion, tension: Array, trolley_v: float, most: float) -> Motion:
@@ -175,7 +141,7 @@ class NonlinearCrane(CraneModel):
         share = 1.0
         for _ in range(MAX_HALVINGS):
             after = settled(self.chain, motion, now + share * (tension - now))
-            if self._energy(after, trolley_v) <= most:
+            if self._chain.energy(after, trolley_v) <= most:
                 return after
             share *= 0.5
         return motion
@@ -210,18 +176,22 @@ class NonlinearCrane(CraneModel):
         self.effort = effort
         self.impulse = impulse
 
-    @staticmethod
     def _seen(
-        error: TimeError, first: NonlinearState, second: NonlinearState, longer: NonlinearState
+        self,
+        error: TimeError,
+        first: NonlinearState,
+        second: NonlinearState,
+        longer: NonlinearState,
     ) -> TimeError:
         """Time errors after two steps and one twice as long; forces are the steps' means."""
         tension = 0.5 * float(first.motion.tension[0] + second.motion.tension[0])
         force = 0.5 * (first.trolley_fx + second.trolley_fx)
+        slack = second.slack_time > 0.0 or longer.slack_time > 0.0
         return error.seen(
             apart(second.motion, longer.motion),
             abs(tension - float(longer.motion.tension[0])),
             abs(force - longer.trolley_fx),
-            slack=second.slack_time > 0.0 or longer.slack_time > 0.0,
+            self._chain.error_share(slack),
         )
 
     def _internal_step(
@@ -258,7 +228,7 @@ class NonlinearCrane(CraneModel):
         with np.errstate(over="ignore", invalid="ignore"):  # the checks reject what overflows
             result = self._scheme.step(self._scheme.start(motion, load), load, h)
         ledger = state.ledger.booked(result.work_trolley, result.work_payload, result.dissipated)
-        energy = self._energy(result.motion, load.trolley_v_after(h))
+        energy = self._chain.energy(result.motion, load.trolley_v_after(h))
         try:
             self._check_energy(state, ledger, energy, h)
         except EnergyBalanceBroken as error:
@@ -280,13 +250,16 @@ class NonlinearCrane(CraneModel):
 
             start above rest + (M + m) (v - v_start)^2/2 + |work of the payload's force|,
 
-        what the trolley and the payload's force can have put into the swing, in any frame.
+        what the trolley and the payload's force can have put into the swing, in any frame; in air,
+        + (M + m) v^2/2, what a wind of the trolley's speed can.
         """
         mass = self.crane.total_mass
         changed = trolley_v - self.initial.speed
+        wind = trolley_v if self.crane.damping.air else 0.0
         speed = self.initial.speed
         start = ledger.start - 0.5 * mass * speed * speed
-        return max(before, start + 0.5 * mass * changed * changed + abs(ledger.payload))
+        put_in = start + 0.5 * mass * (changed * changed + wind * wind) + abs(ledger.payload)
+        return max(before, put_in)
 
     def _check_energy(self, state: NonlinearState, ledger: Ledger, energy: float, h: float) -> None:
         """Raise EnergyBalanceBroken where energy now differs from before + work - dissipation."""
@@ -295,8 +268,9 @@ class NonlinearCrane(CraneModel):
         scale = state.scale
         total = energy - ledger.expected
         step = total - (state.energy - state.ledger.expected)
-        if not abs(step) <= STEP_ENERGY_TOLERANCE * scale + floor:
-            raise EnergyBalanceBroken.in_step(h, step, scale, STEP_ENERGY_TOLERANCE)
+        allowed = self._chain.step_energy_tolerance
+        if not abs(step) <= allowed * scale + floor:
+            raise EnergyBalanceBroken.in_step(h, step, scale, allowed)
         if not abs(total) <= TOTAL_ENERGY_TOLERANCE * scale + floor:
             raise EnergyBalanceBroken.since_start(total, scale, TOTAL_ENERGY_TOLERANCE)
 
@@ -358,9 +332,7 @@ class NonlinearCrane(CraneModel):
         )
 
     def _posture(self) -> Posture:
-        r, w = self._state.motion.r, self._state.motion.w
-        points = self._interpolation @ r
-        return Posture(points, node1=r[0], payload=r[-1], payload_w=w[-1])
+        return self._chain.posture(self._state.motion)
 
     def notice(self) -> str | None:
         """That the motion is not predictable, where it is not."""
