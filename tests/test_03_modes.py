@@ -19,8 +19,8 @@ from chaincrane.plant.linear import (
 from chaincrane.plant.parameters import MASS_MATRICES, Crane, Damping, Initial, Numerics, Payload
 
 
-def bessel_frequencies(crane: Crane, count: int) -> list[float]:
-    """Frequencies of a hanging chain with an end mass, rad/s.
+def bessel_frequencies(crane: Crane, count: int, below: float = 80.0) -> list[float]:
+    """Frequencies of a hanging chain with an end mass, rad/s, below a bound.
 
     u = A J0(z) + B Y0(z), z(y) = 2 w sqrt((M/mu + y)/g), y from the payload upwards;
     u(L) = 0 and M w^2 u + M g u' = 0 at y = 0, that is w u - sqrt(g mu/M) (A J1 + B Y1) = 0.
@@ -33,7 +33,7 @@ def bessel_frequencies(crane: Crane, count: int) -> list[float]:
         at_payload = [w * f0(0, bottom) - slope * f0(1, bottom) for f0 in (jv, yv)]
         return float(at_payload[0] * yv(0, top) - at_payload[1] * jv(0, top))
 
-    grid = np.arange(0.5, 80.0, 0.05)
+    grid = np.arange(0.5, below, 0.05)
     values = [determinant(w) for w in grid]
     roots = [
         brentq(determinant, a, b, xtol=1e-13)

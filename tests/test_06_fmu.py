@@ -19,6 +19,7 @@ from chaincrane.plant.interface import PARAMETERS
 from chaincrane.plant.kernel import NativeCrane
 from chaincrane.plant.linear import LinearCrane
 from chaincrane.plant.parameters import Chain, Crane, Damping, Initial, Numerics, Payload
+from chaincrane_driver.errors import UserError
 from chaincrane_driver.processes import simulate_all
 from chaincrane_driver.simulate import Job
 
@@ -198,3 +199,18 @@ def test_fmpy_command_line_needs_no_option(fmus: Path, tmp_path: Path) -> None:
     rows = np.genfromtxt(out, delimiter=",", names=True, deletechars="")
     assert len(rows) == 801
     assert 0.2 < np.abs(rows["payload.x_rel"]).max() < 0.3
+
+
+def test_the_formulation_is_chosen_by_its_name(fmus: Path, native_fmus: Path) -> None:
+    """The inextensible chain in both FMUs is the kernel's; too many points are refused by name."""
+    chosen = {"chain.formulation": "inextensible", "chain.elements": 8}
+    files = [fmus / "crane_nl.fmu", native_fmus / "crane_nl_native.fmu"]
+    jobs = [Job(file, chosen, paper_motion(), 2.0, 0.005) for file in files]
+    python, native = simulate_all(jobs, "named")
+    for name in ("payload.x", "chain.y[5]", "trolley.fx", "chain.tension_min", "energy.error"):
+        assert np.abs(python[name] - native[name]).max() < 1e-9, name
+    assert np.abs(python["payload.x"]).max() > 0.5
+    for file in files:
+        many = chosen | {"chain.elements": 41}
+        with pytest.raises(UserError, match=r"chain\.elements = 41 is not allowed: at most 40"):
+            simulate_all([Job(file, many, paper_motion(), 0.1, 0.005)], "refused")

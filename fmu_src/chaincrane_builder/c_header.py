@@ -18,6 +18,7 @@ from chaincrane.plant.interface import (
     INPUTS,
     LAST_COMMAND,
     LINEAR_STATE,
+    NO_SLACK,
     NONLINEAR_STATE,
     NOT_PREDICTABLE,
     OUTPUTS,
@@ -35,6 +36,7 @@ from .fmus import SOURCES
 KINDS = ("Real", "Integer", "String", "Boolean")
 WORDS = {
     "EXPERIMENT_TOLERANCE_ALLOWED": EXPERIMENT_TOLERANCE_ALLOWED,
+    "NO_SLACK": NO_SLACK,
     "NOT_PREDICTABLE": NOT_PREDICTABLE,
     "TOLERANCE_NOT_KEPT": TOLERANCE_NOT_KEPT,
 }

@@ -6,10 +6,14 @@
 #include <string.h>
 
 #include "energy_momentum.h"
+#include "inextensible.h"
 #include "jump.h"
 #include "newmark.h"
 #include "nonlinear.h"
 #include "truss.h"
+
+static const Formulation *const FORMULATION[] = {[CHAIN_FORMULATION_TRUSS] = &TRUSS,
+                                                 [CHAIN_FORMULATION_INEXTENSIBLE] = &INEXTENSIBLE};
 
 static const Scheme *const SCHEME[] = {[SOLVER_SCHEME_ENERGY_MOMENTUM] = &ENERGY_MOMENTUM_SCHEME,
                                        [SOLVER_SCHEME_NEWMARK] = &NEWMARK_SCHEME};
@@ -28,8 +32,7 @@ typedef struct {
 } NonlinearCrane;
 
 static const Formulation *formulation_of(const Settings *settings) {
-    (void)settings; /* there is one */
-    return &TRUSS;
+    return FORMULATION[(int)settings->chain_formulation];
 }
 
 static double mechanical_energy(const Workspace *work, const Motion *motion, double trolley_v) {
@@ -69,7 +72,11 @@ static int jumps(const Command *before, const Command *after) {
 }
 
 /* The scheme of a crane's settings. */
-static const Scheme *scheme_of(const Chain *c) { return SCHEME[(int)c->settings.solver_scheme]; }
+static const Scheme *scheme_of(const Chain *c) {
+    if (c->settings.chain_formulation == CHAIN_FORMULATION_INEXTENSIBLE)
+        return &INEXTENSIBLE_SCHEME;
+    return SCHEME[(int)c->settings.solver_scheme];
+}
 
 /* Elements at the lengths of the tension that a jump requires, or as far on the way as keeps ``most``
    J; the energy then. */
@@ -450,6 +457,8 @@ static const char *notice(const void *memory) {
     const NonlinearCrane *crane = memory;
     const Chain *c = &crane->work.chain;
     const NonlinearState *head = crane->state.head;
+    int inextensible = c->settings.chain_formulation == CHAIN_FORMULATION_INEXTENSIBLE;
+    if (inextensible && head->slack_time > 0.0) return NO_SLACK;
     return is_predictable(c, head) ? NULL : NOT_PREDICTABLE;
 }
 

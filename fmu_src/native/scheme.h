@@ -33,9 +33,12 @@ typedef struct {
     int iterations;
 } StepResult;
 
+struct GaussChain;
+
 /* A chain, and the memory that a scheme works in. */
 typedef struct {
     Chain chain;
+    struct GaussChain *gauss;     /* of an inextensible one */
     Banded banded;                /* its matrix, and the elements' tangents */
     Motion end;                   /* of the step */
     Vector *a0, *d0, *d1, *moved; /* accelerations at its start; element vectors; displacements */

@@ -44,13 +44,34 @@ static double stiffest(const double *number) {
     return UNSTEADY * weight / (LAST_DIGIT * number[VR_CHAIN_ELEMENTS]);
 }
 
-static int too_stiff(const double *number, char message[MESSAGE_SIZE]) {
+static int too_stiff(const Values *values, char message[MESSAGE_SIZE]) {
+    const double *number = values->number;
     char most[NUMBER_SIZE], allowed[NUMBER_SIZE + 64];
+    if (choice(values, VR_CHAIN_FORMULATION) != CHAIN_FORMULATION_TRUSS) return 0;
     if (!(stiffest(number) < number[VR_CHAIN_EA])) return 0;
     snprintf(allowed, sizeof allowed,
              "at most %s N: beyond, round-off outweighs these masses and elements",
              text_general(most, 3, stiffest(number)));
     bad_number(message, VARIABLE[VR_CHAIN_EA].name, number[VR_CHAIN_EA], allowed);
+    return 1;
+}
+
+/* What chain.formulation = inextensible does not take. */
+static int not_inextensible(const Values *values, char message[MESSAGE_SIZE]) {
+    static const char *const words = "with chain.formulation = inextensible";
+    const double *number = values->number;
+    double most = MAX_MASS_RATIO * number[VR_CHAIN_MASS];
+    char text[NUMBER_SIZE], allowed[NUMBER_SIZE + 64];
+    if (choice(values, VR_CHAIN_FORMULATION) != CHAIN_FORMULATION_INEXTENSIBLE) return 0;
+    if (number[VR_CHAIN_ELEMENTS] > MAX_POINTS) {
+        snprintf(allowed, sizeof allowed, "at most %d %s", MAX_POINTS, words);
+        snprintf(text, sizeof text, "%.0f", number[VR_CHAIN_ELEMENTS]);
+        not_allowed(message, VARIABLE[VR_CHAIN_ELEMENTS].name, text, allowed);
+        return 1;
+    }
+    if (!(number[VR_PAYLOAD_MASS] > most)) return 0;
+    snprintf(allowed, sizeof allowed, "at most %s kg %s", text_general(text, 3, most), words);
+    bad_number(message, VARIABLE[VR_PAYLOAD_MASS].name, number[VR_PAYLOAD_MASS], allowed);
     return 1;
 }
 
@@ -79,7 +100,7 @@ int bad_parameter(const Values *values, char message[MESSAGE_SIZE]) {
             text_quoted(text, values->text[variable->text]);
         } else {
             if (is_finite(value) && value >= variable->minimum && value <= variable->maximum) {
-                if (i == VR_CHAIN_ELEMENTS && too_stiff(values->number, message)) return 1;
+                if (i == VR_CHAIN_ELEMENTS && too_stiff(values, message)) return 1;
                 continue;
             }
             if (variable->kind == INTEGER) snprintf(text, sizeof text, "%.0f", value);
@@ -88,7 +109,7 @@ int bad_parameter(const Values *values, char message[MESSAGE_SIZE]) {
         not_allowed(message, variable->name, text, variable->allowed);
         return 1;
     }
-    return bad_tolerance(values, message);
+    return not_inextensible(values, message) || bad_tolerance(values, message);
 }
 
 Settings settings_of(const Values *values) {

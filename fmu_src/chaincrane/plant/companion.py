@@ -3,7 +3,7 @@
 Where the motion is smooth and the scheme of second order, the finer solution is off by a third of
 the difference of the two (Richardson); after jumps and changes of load the order lies between two
 and one, so that it is a half, give or take; where the chain has been slack the order is one, and it
-is all of it. Of forces it is all of it in any
+is all of it. A formulation of fourth order tells a fifteenth. Of forces it is all of it in any
 case: they show waves that are less well resolved. What is told is the largest so far. It sees the
 time error, and where the motion is one that a small change makes another one of; the mesh's error
 it does not see.

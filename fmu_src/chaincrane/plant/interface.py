@@ -24,6 +24,7 @@ _STRETCH = ("chain.mass", "chain.EA", "payload.mass", "gravity")
 _SHAPE = ("chain.length", *_STRETCH)
 _INSIDE = (*_SHAPE, "chain.elements")  # of a point between the chain's ends
 _SWAY = ("initial.sway_angle",)
+_FORM = ("chain.formulation",)  # of a nonlinear crane
 _SPEED = ("initial.speed",)
 _DRAG = ("damping.air", *_SPEED)
 _ENERGY = ("chain.length", "chain.mass", "payload.mass", "gravity", *_SWAY, *_SPEED)
@@ -37,7 +38,7 @@ def _point(axis: str, place: int, meaning: str) -> Any:
         f"chain.{axis}[{place}]",
         "m",
         f"material point at {place}/{MATERIAL_POINTS} of the chain, {meaning}",
-        starts_from=inside + _SWAY,
+        starts_from=inside + _SWAY + _FORM,
         starts_from_linear=_STRAIGHT if axis == "x" else inside,
     )
 
@@ -52,7 +53,7 @@ OUTPUTS = (
         "N",
         "horizontal force that the drive exerts on the chain, without the impulses of jumps;"
         " nonlinear: mean of the last internal step",
-        starts_from=(*_WEIGHT, "chain.mass_matrix", *_DRAG, *_SWAY),
+        starts_from=(*_WEIGHT, "chain.mass_matrix", *_DRAG, *_SWAY, *_FORM),
         starts_from_linear=(*_WEIGHT, "chain.mass_matrix", *_DRAG, *_SWAY),
     ),
     output(
@@ -64,14 +65,14 @@ OUTPUTS = (
         "payload.x",
         "m",
         "horizontal position, absolute",
-        starts_from=_SHAPE + _SWAY,
+        starts_from=_SHAPE + _SWAY + _FORM,
         starts_from_linear=_STRAIGHT,
     ),
     output(
         "payload.y",
         "m",
         "height above the trolley's rail, so negative",
-        starts_from=_SHAPE + _SWAY,
+        starts_from=_SHAPE + _SWAY + _FORM,
         starts_from_linear=_SHAPE,
     ),
     output("payload.vx", "m/s", "horizontal velocity, absolute", starts_from=_SPEED),
@@ -80,7 +81,7 @@ OUTPUTS = (
         "payload.x_rel",
         "m",
         "payload.x - trolley.x, the sway",
-        starts_from=_SHAPE + _SWAY,
+        starts_from=_SHAPE + _SWAY + _FORM,
         starts_from_linear=_STRAIGHT,
     ),
     output(
@@ -94,7 +95,7 @@ OUTPUTS = (
         "chain.mid_x_rel",
         "m",
         "the chain's middle point, relative to the trolley",
-        starts_from=_INSIDE + _SWAY,
+        starts_from=_INSIDE + _SWAY + _FORM,
         starts_from_linear=_STRAIGHT,
     ),
     output(
@@ -109,20 +110,22 @@ OUTPUTS = (
         "N",
         "tension of the chain at the trolley; nonlinear: mean of the last internal step, and after"
         " a jump without what vibrates faster than some 140 Hz along a stiff chain",
-        starts_from=_WEIGHT + _SWAY,
+        starts_from=_WEIGHT + _SWAY + _FORM,
         starts_from_linear=_WEIGHT,
     ),
     output(
         "chain.tension_min",
         "N",
         "smallest tension in the chain, likewise; below 0 it would be slack",
-        starts_from=_WEIGHT + _SWAY,
+        starts_from=_WEIGHT + _SWAY + _FORM,
         starts_from_linear=_WEIGHT,
     ),
     output(
         "chain.slack_time",
         "s",
-        "time since the start in which an element was in compression; 0 in the linear crane",
+        "time since the start in which an element was in compression; 0 in the linear crane; with"
+        " chain.formulation = inextensible a value above 0 says that no real chain moves like that"
+        " any more, and so does the log, once",
     ),
     *(_point("x", i, "absolute") for i in range(1, MATERIAL_POINTS + 1)),
     *(_point("y", i, "height") for i in range(1, MATERIAL_POINTS + 1)),
@@ -130,7 +133,7 @@ OUTPUTS = (
         "energy.total",
         "J",
         "mechanical energy above the rest position",
-        starts_from=(*_ENERGY, "chain.EA", "chain.elements"),
+        starts_from=(*_ENERGY, "chain.EA", "chain.elements", *_FORM),
         starts_from_linear=_ENERGY,
     ),
     output(
@@ -189,6 +192,10 @@ def settings(
 
 
 # What is said, once, when error.predictable falls to 0.
+NO_SLACK = (
+    "the tension has fallen below 0: from here on a real chain would be slack, which"
+    " chain.formulation = inextensible cannot be; chain.slack_time counts"
+)
 NOT_PREDICTABLE = (
     "error.payload has exceeded 0.005 of chain.length: the motion is not predictable from here on,"
     " a shorter solver.max_step gives another one"

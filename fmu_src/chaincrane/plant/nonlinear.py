@@ -1,19 +1,23 @@
-"""The nonlinear crane: large motions of a chain, in steps whose energy balance is checked."""
+"""The nonlinear crane: large motions of a chain, in steps whose energy balance is checked.
+
+The chain is the paper's truss, whose tension comes by its own stretch, or another formulation.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
 from ..errors import EnergyBalanceBroken, NotConverged
-from .chain import Array, along_elements, axial_force
+from .chain import Array, DiscreteChain, along_elements, axial_force
 from .command import Command
 from .companion import TimeError, apart
 from .crane import CraneModel, Posture, Solution
 from .formulation import Formulation
-from .interface import LAST_COMMAND, NONLINEAR_STATE, NOT_PREDICTABLE
+from .inextensible import InextensibleChain
+from .interface import LAST_COMMAND, NO_SLACK, NONLINEAR_STATE, NOT_PREDICTABLE
 from .jump import plain_jump, settled
 from .ledger import Effort, Ledger
 from .parameters import Crane, Initial, Numerics
@@ -21,6 +25,10 @@ from .scheme import Jump, Load, Motion
 from .trolley import Trolley, equal_parts
 from .truss import Truss
 
+FORMULATION_CLASSES: dict[str, Callable[[DiscreteChain, Numerics], Formulation]] = {
+    "truss": Truss,
+    "inextensible": InextensibleChain,
+}
 MAX_HALVINGS = 12  # of an internal step that does not converge or breaks the energy balance
 TOTAL_ENERGY_TOLERANCE = 5e-3  # of the energy put in so far, what the balance may be off by
 JUMP_GAIN = 1e-4  # of the energy put in so far, what a jump may add
@@ -55,7 +63,7 @@ class NonlinearCrane(CraneModel):
         numerics: Numerics | None = None,
     ) -> None:
         super().__init__(crane, initial, numerics)
-        self._chain: Formulation = Truss(self.chain, self.numerics)
+        self._chain = FORMULATION_CLASSES[self.numerics.formulation](self.chain, self.numerics)
         self._scheme = self._chain.scheme
         motion = self._chain.straight(self.initial.sway_angle)
         energy = self._chain.energy(motion, self.trolley.v)
@@ -335,7 +343,9 @@ class NonlinearCrane(CraneModel):
         return self._chain.posture(self._state.motion)
 
     def notice(self) -> str | None:
-        """That the motion is not predictable, where it is not."""
+        """That the formulation does not hold, or that the motion is not predictable, where so."""
+        if self._chain.never_slack and self._state.slack_time > 0.0:
+            return NO_SLACK
         return None if self._error.predictable(self.crane.chain.length) else NOT_PREDICTABLE
 
     def _own_outputs(self) -> dict[str, float]:

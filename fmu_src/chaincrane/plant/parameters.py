@@ -12,8 +12,11 @@ from ..errors import BadValue
 from ..variables import ABOVE_ZERO, check_rows, choice, parameter, row_of, whole
 
 _MAX_ELEMENTS = 10_000
+MAX_POINTS = 40  # Gauss points of an inextensible chain, whose matrices are full
+MAX_MASS_RATIO = 1e6  # of payload to chain there: the steps get short by its root
 SCHEMES = ("energy_momentum", "newmark")
 MASS_MATRICES = ("consistent", "averaged")
+FORMULATIONS = ("truss", "inextensible")
 ERROR_ESTIMATES = ("off", "companion")
 TOLERANCES_FROM = ("parameter", "experiment")
 _HALF_TURN = 3.1415926535897927  # rad, just below pi
@@ -104,7 +107,9 @@ class Initial:
 class Numerics:
     """Numerical settings."""
 
-    elements: int = whole("chain.elements", 10, (1, _MAX_ELEMENTS), "number of finite elements")
+    elements: int = whole(
+        "chain.elements", 10, (1, _MAX_ELEMENTS), "number of finite elements; of Gauss points"
+    )
     max_step: float = parameter(
         "solver.max_step",
         "s",
@@ -127,6 +132,14 @@ class Numerics:
         "mass matrix of an element: consistent (the paper's) or averaged with the lumped one, the"
         " rotation of the whole kept exact: half the error of the mesh or less for the paper's"
         " payloads and ten elements, little less for a payload that is light beside the chain",
+    )
+    formulation: str = choice(
+        "chain.formulation",
+        FORMULATIONS[0],
+        FORMULATIONS,
+        "nonlinear crane: the paper's truss, or inextensible: a smooth chain that can neither"
+        " stretch nor be slack, with at most 40 chain.elements; chain.EA, damping.chain,"
+        " chain.mass_matrix and solver.scheme have no effect then",
     )
     error_estimate: str = choice(
         "solver.error_estimate",
@@ -179,7 +192,20 @@ def check(crane: Crane, initial: Initial, numerics: Numerics) -> None:
     check_rows(initial)
     row_of(Numerics, "elements").check(numerics.elements)
     stiffest = _stiffest(crane, numerics.elements)
-    if stiffest < crane.chain.EA:
+    truss = numerics.formulation == FORMULATIONS[0]
+    if truss and stiffest < crane.chain.EA:
         words = f"at most {stiffest:.3g} N: beyond, round-off outweighs these masses and elements"
         raise BadValue("chain.EA", crane.chain.EA, words)
     check_rows(numerics)
+    if not truss:
+        _check_inextensible(crane, numerics)
+
+
+def _check_inextensible(crane: Crane, numerics: Numerics) -> None:
+    """Raise BadValue for what chain.formulation = inextensible does not take."""
+    words = "with chain.formulation = inextensible"
+    if numerics.elements > MAX_POINTS:
+        raise BadValue("chain.elements", numerics.elements, f"at most {MAX_POINTS} {words}")
+    most = MAX_MASS_RATIO * crane.chain.mass
+    if crane.payload.mass > most:
+        raise BadValue("payload.mass", crane.payload.mass, f"at most {most:.3g} kg {words}")

@@ -41,6 +41,7 @@ class Truss:
     """Truss elements with the scheme of the settings; see :class:`~.formulation.Formulation`."""
 
     longest_step = inf
+    never_slack = False
     step_energy_tolerance = STEP_ENERGY_TOLERANCE
 
     def __init__(self, chain: DiscreteChain, numerics: Numerics) -> None:
