@@ -32,8 +32,8 @@ class Setup:
 
     payload: float = HEAVY  # kg
     plant: str = "crane_nl"
-    method: str = "lqr"  # or zv, trapezoid
-    observer: int = 2  # elements; 0: massless-rope pendulum
+    method: str = "planned"  # or lqr, zv, zvd, time_optimal, trapezoid
+    observer: int | None = None  # elements; 0: massless-rope pendulum; None: the string's modes
     sensor: str = "rope"  # or camera
     noisy: bool = True
     believed: float = 1.0  # of the payload's mass, what observer and controller believe
@@ -46,12 +46,14 @@ class Setup:
     more: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # start values, by part
 
     def __post_init__(self) -> None:
-        if self.observer < 0:
+        if self.observer is not None and self.observer < 0:
             raise UserError(f"elements = {self.observer} is not allowed: 0 or more, a whole number")
 
     @property
     def label(self) -> str:
         """The observer's name in tables."""
+        if self.observer is None:
+            return "string modes"
         if not self.observer:
             return "pendulum"
         return f"{self.observer} element{'s' if self.observer > 1 else ''}"
@@ -62,8 +64,10 @@ class Setup:
         crane |= self.more.get(CRANE, {})
         shared = {name: crane[name] for name in TOLD_TO_ALL if name in crane}
         shared["payload.mass"] = self.payload * self.believed
-        model: dict[str, Any] = {"model": "chain" if self.observer else "pendulum"}
-        model["elements"] = max(1, self.observer)
+        model: dict[str, Any] = {}
+        if self.observer is not None:
+            model["model"] = "chain" if self.observer else "pendulum"
+            model["elements"] = max(1, self.observer)
         late = "end" if self.order == "sequential" or self.late else "start"
         observer = shared | {f"observer.{key}": value for key, value in model.items()}
         observer |= {

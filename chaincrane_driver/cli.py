@@ -197,8 +197,11 @@ def command_antisway(options: argparse.Namespace) -> int:
 
 
 METHOD_LABELS = {
+    "planned": "plan and regulator",
     "lqr": "LQR on the estimate",
     "zv": "ZV-shaped, open loop",
+    "zvd": "ZVD-shaped, open loop",
+    "time_optimal": "time-optimal, open loop",
     "trapezoid": "plain, open loop",
 }
 
@@ -307,7 +310,6 @@ def parser() -> argparse.ArgumentParser:
     antisway = command("antisway", command_antisway, "chaincrane antisway --payload 0.07")
     for name, kind, default, text in (
         ("payload", float, HEAVY, "mass of the payload, kg"),
-        ("elements", int, 2, "of observer and controller; 0: a massless-rope pendulum"),
         ("target", float, TARGET, "where the trolley is to go, m"),
         ("stop", float, 12.0, "simulated time, s"),
         ("step", float, 0.01, "communication step, s"),
@@ -315,6 +317,12 @@ def parser() -> argparse.ArgumentParser:
         antisway.add_argument(
             f"--{name}", type=kind, default=default, help=f"{text} ({default:g})", metavar="N"
         )
+    antisway.add_argument(
+        "--elements",
+        type=int,
+        metavar="N",
+        help="of observer and controller; 0: a massless-rope pendulum (the string's first modes)",
+    )
     for name, choices, text in (
         ("plant", ("crane_nl", "crane_lin"), "the crane"),
         ("method", tuple(METHOD_LABELS), "how to move"),

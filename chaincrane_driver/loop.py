@@ -39,6 +39,7 @@ CONNECTIONS: tuple[Connection, ...] = (
     (OBSERVER, "mode.x_rel[2]", ANTISWAY, "mode.x_rel[2]"),
     (OBSERVER, "mode.vx_rel[1]", ANTISWAY, "mode.vx_rel[1]"),
     (OBSERVER, "mode.vx_rel[2]", ANTISWAY, "mode.vx_rel[2]"),
+    (OBSERVER, "wind.fx", ANTISWAY, "wind.fx"),
 )
 WATCHED = {
     CRANE: (

@@ -6,8 +6,11 @@ from chaincrane.requirements import require
 from fmi_slave import FmiSlave, Model, mend_import
 
 require("numpy", "scipy")
-from chaincrane.control.antisway import AntiSway, AntiSwayInput  # noqa: E402
+from chaincrane.control import stability  # noqa: E402
+from chaincrane.control.antisway import FEEDBACK, AntiSway, AntiSwayInput  # noqa: E402
 from chaincrane.control.antisway_interface import VARIABLES, settings  # noqa: E402
+
+USUAL_STEP = 0.01  # s, what is told at initialisation is told for
 
 
 class crane_antisway(FmiSlave):
@@ -18,7 +21,10 @@ class crane_antisway(FmiSlave):
 
     def make_model(self, parameters: dict[str, Any]) -> Model:
         """The controller; raises CraneError for what is not allowed."""
-        return AntiSway(settings(parameters))
+        control = AntiSway(settings(parameters))
+        if control.settings.method in FEEDBACK:
+            control.warning = stability.warning(control, USUAL_STEP)
+        return control
 
 
 mend_import(globals())

@@ -55,14 +55,14 @@ FMUS = {
     "crane_lin": Fmu(_LINEAR, interface.VARIABLES, packages=("NumPy",), linear=True),
     "crane_observer": Fmu(
         "Observer of an overhead crane's chain and payload: a steady-state Kalman filter on the"
-        " linear crane, from a camera or a rope-angle sensor",
+        " string's modes, from a camera or a rope-angle sensor",
         observer_interface.VARIABLES,
         "control.html",
         ("NumPy", "SciPy"),
     ),
     "crane_antisway": Fmu(
-        "Anti-sway controller of an overhead crane: LQR on the estimate, or an open-loop move,"
-        " shaped or plain, within limits of velocity and acceleration",
+        "Anti-sway controller of an overhead crane: a plan and a regulator about it, or an"
+        " open-loop move, within limits of velocity and acceleration",
         antisway_interface.VARIABLES,
         "control.html",
         ("NumPy", "SciPy"),

@@ -1,27 +1,25 @@
 """The anti-sway controller: a position for the trolley in, its acceleration out, within limits.
 
-`lqr` feeds the estimated state back: trolley and first modes. `trapezoid` and `zv` are open-loop
-moves for comparison: the fastest within the limits, and the same shaped by two impulses. The
-command acts over the communication step after the one that computed it.
+`planned` computes a plan to the target and regulates about it; where the payload is far from the
+plan, after a push say, it plans anew. `lqr` regulates about the target itself. The other methods
+are open-loop moves for comparison. The command acts over the communication step after the one that
+computed it.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from math import ceil, exp, pi, sqrt
+from math import hypot
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, expm, solve_discrete_are
+from scipy.linalg import LinAlgError
 
 from ..errors import BadValue
-from ..plant.chain import Array, discretise
-from ..plant.linear import TautString
+from ..plant.chain import Array
 from ..plant.parameters import Crane, Numerics
 from ..variables import (
-    ABOVE_ZERO,
     check_rows,
     check_step_size,
     choice,
@@ -30,19 +28,34 @@ from ..variables import (
     shared,
     whole,
 )
+from . import plan, shapers
 from .design import (
     INPUTS_AT,
+    MAX_MODES,
     SHOWN_MODES,
     ControlPart,
     check_design,
-    design_crane,
+    design_string,
+    drive_lag,
     elements_choice,
     model_choice,
+    step_key,
 )
+from .drive import followed
+from .move import Limits, Move
+from .regulator import Weights, design_model, discretised, regulator
 
-METHODS = ("lqr", "zv", "trapezoid")
+METHODS = ("planned", "lqr", "zv", "zvd", "time_optimal", "trapezoid")
+FEEDBACK = ("planned", "lqr")
 ROUND_OFF = 1e-12  # of the velocity limit, kept free for round-off of the host's step size
 CRUISE = 0.95  # of the velocity limit that lqr travels at: the rest is for damping the sway
+SHORTEST = 1e-3  # of 1/omega_1: steps shorter than that share their gain
+PAUSE = 0.25  # periods of mode 1 from a plan to one that a deviation asks for; then twice as long
+MOST_ANEW = 4  # times twice
+HASTE = 0.05  # periods of mode 1 from a plan to one for the next target: a target may slide
+# The weights that a crane's size suggests, in A/omega_1^2, A and A omega_1.
+POSITION, SWAY, ACCELERATION, JERK = 2.5, 1.2, 0.5, 0.55
+TOLERANCE, DEVIATION, CALM = 0.045, 0.07, 0.025  # of A/omega_1^2
 _CACHED = 64
 
 
@@ -51,44 +64,43 @@ def _share(name: str, unit: str, mode: int) -> Any:
     return held_input(f"mode.{name}[{mode}]", unit, meaning)
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What the trolley's drive can do."""
-
-    velocity: float = parameter(
-        "limit.velocity", "m/s", 0.5, "largest speed of the trolley", minimum=ABOVE_ZERO
-    )
-    acceleration: float = parameter(
-        "limit.acceleration", "m/s2", 1.0, "largest acceleration of the trolley", minimum=ABOVE_ZERO
-    )
+def _sized(name: str, unit: str, meaning: str, number: float, size: str) -> Any:
+    """A parameter that is a number of a size of the crane's unless it is set."""
+    words = f"{meaning}; 0: {number:g} {size}, A = limit.acceleration"
+    return parameter(f"antisway.{name}", unit, 0.0, words, minimum=0.0, nominal=0.1)
 
 
 @dataclass(frozen=True)
 class Scales:
     """Deviations that weigh alike in the regulator's cost (Bryson & Ho 1975)."""
 
-    position: float = parameter(
-        "antisway.scale.position",
+    position: float = _sized(
+        "scale.position",
         "m",
-        0.2,
-        "lqr: deviation of the trolley that weighs like the other scales",
-        minimum=ABOVE_ZERO,
-        nominal=0.1,
+        "regulator: deviation of the trolley that weighs like the other scales",
+        POSITION,
+        "A/omega_1^2",
     )
-    sway: float = parameter(
-        "antisway.scale.sway",
+    sway: float = _sized(
+        "scale.sway",
         "m",
-        0.1,
-        "lqr: sway of the payload, in each mode, that weighs like the other scales",
-        minimum=ABOVE_ZERO,
-        nominal=0.1,
+        "regulator: sway of the payload, in each mode, that weighs like the other scales",
+        SWAY,
+        "A/omega_1^2",
     )
-    acceleration: float = parameter(
-        "antisway.scale.acceleration",
+    acceleration: float = _sized(
+        "scale.acceleration",
         "m/s2",
-        0.5,
-        "lqr: acceleration of the trolley that weighs like the other scales",
-        minimum=ABOVE_ZERO,
+        "regulator: acceleration of the trolley that weighs like the other scales",
+        ACCELERATION,
+        "A",
+    )
+    jerk: float = _sized(
+        "scale.jerk",
+        "m/s3",
+        "regulator: jerk of the trolley that weighs like the other scales",
+        JERK,
+        "A omega_1",
     )
 
 
@@ -102,19 +114,61 @@ class AntiSwaySettings:
         "antisway.method",
         METHODS[0],
         METHODS,
-        f"{', '.join(METHODS)}: state feedback, or open loop a move shaped against sway (zero"
-        " vibration) or the plain fastest move",
+        f"{', '.join(METHODS)}: a plan and a regulator about it; a regulator about the target; or"
+        " open loop a move shaped against sway (zero vibration, or zero vibration and derivative of"
+        " two modes), the fastest move of the payload, or the fastest of the trolley",
     )
     model: str = model_choice("antisway")
     elements: int = elements_choice("antisway")
-    modes: int = whole("antisway.modes", 1, (1, SHOWN_MODES), "number of modes that lqr feeds back")
+    modes: int = whole(
+        "antisway.modes",
+        2,
+        (1, SHOWN_MODES),
+        "number of modes that planned and lqr feed back, at most those that the model has",
+    )
+    planned_modes: int = whole(
+        "antisway.planned_modes",
+        3,
+        (1, MAX_MODES),
+        "number of modes that a plan brings to rest, at most those that the model has",
+    )
     inputs_at: str = choice(
         "antisway.inputs_at",
         INPUTS_AT[0],
         INPUTS_AT,
-        f"{' or '.join(INPUTS_AT)} of the communication step: when the estimate is true; lqr"
-        " predicts one of the start to the end, where its command begins",
+        f"{' or '.join(INPUTS_AT)} of the communication step: when the estimate is true; the"
+        " regulator predicts one of the start to the end, where its command begins",
     )
+    spare: float = parameter(
+        "antisway.spare",
+        None,
+        0.09,
+        "share of the shortest time to settle that a plan takes more, for robustness",
+        minimum=0.0,
+    )
+    tolerance: float = _sized(
+        "tolerance",
+        "m",
+        "planned: from settling on the payload stays that near to its target",
+        TOLERANCE,
+        "A/omega_1^2",
+    )
+    deviation: float = _sized(
+        "deviation",
+        "m",
+        "planned: sway beside the plan from which on it is planned anew",
+        DEVIATION,
+        "A/omega_1^2",
+    )
+    calm: float = _sized(
+        "calm",
+        "m",
+        "planned, lqr: sway in a mode, beside the plan, of which nothing is fed back: less is the"
+        " filter's noise, and what it does not know of the chain",
+        CALM,
+        "A/omega_1^2",
+    )
+    lag: float = drive_lag()
     scales: Scales = field(default_factory=Scales)
     limits: Limits = field(default_factory=Limits)
 
@@ -122,23 +176,20 @@ class AntiSwaySettings:
         """Raise BadValue for the first value that is not allowed; names are the FMU's."""
         check_design(self.crane, self.mass_matrix)
         check_rows(self)
-        most = 1 if self.model == "pendulum" else min(SHOWN_MODES, self.elements)
-        if self.modes > most:
-            allowed = f"a whole number from 1 to {most}, the modes of the model that are estimated"
-            raise BadValue("antisway.modes", self.modes, allowed)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AntiSwayInput:
     """What the controller is told at a communication point."""
 
-    target_x: float = held_input("target.x", "m", "where the trolley is to go")
-    trolley_x: float = held_input("trolley.x", "m", "where it is")
+    target_x: float = held_input("target.x", "m", "where the payload is to go")
+    trolley_x: float = held_input("trolley.x", "m", "where the trolley is")
     trolley_v: float = held_input("trolley.v", "m/s", "how fast it goes")
     mode_x_rel_1: float = _share("x_rel", "m", 1)
     mode_x_rel_2: float = _share("x_rel", "m", 2)
     mode_vx_rel_1: float = _share("vx_rel", "m/s", 1)
     mode_vx_rel_2: float = _share("vx_rel", "m/s", 2)
+    wind_fx: float = held_input("wind.fx", "N", "estimated steady force on the payload")
 
     def modes(self, count: int) -> list[float]:
         """Share of payload.x_rel and its rate, m and m/s, of each of the first ``count`` modes."""
@@ -147,96 +198,15 @@ class AntiSwayInput:
         return [value for pair in zip(shares[:count], rates, strict=False) for value in pair]
 
 
-def design_model(string: TautString, modes: int) -> tuple[Array, Array]:
-    """xdot = A x + B a of the trolley and the first ``modes`` modes, SI units.
-
-    x = [trolley.x - target, trolley.v, then for each mode its share of payload.x_rel and its
-    rate]; per mode q'' + alpha q' + omega^2 q = -gamma (a + alpha v), gamma = phi_n phi^T b.
-    """
-    size = 2 + 2 * modes
-    A, B = np.zeros((size, size)), np.zeros((size, 1))
-    A[0, 1] = B[1, 0] = 1.0
-    for mode in range(modes):
-        q, rate = 2 + 2 * mode, 3 + 2 * mode
-        gamma = string.modes.shapes[-1, mode] * string.push[mode]
-        A[q, rate] = 1.0
-        A[rate, q] = -(string.modes.omega[mode] ** 2)
-        A[rate, rate] = -string.air
-        A[rate, 1] = -gamma * string.air
-        B[rate, 0] = -gamma
-    return A, B
-
-
-def discretised(A: Array, B: Array, h: float) -> tuple[Array, Array]:
-    """x(h) = Ad x(0) + Bd a with a held: one matrix exponential of [A B; 0 0] h."""
-    size = len(A)
-    both = np.zeros((size + 1, size + 1))
-    both[:size, :size], both[:size, size:] = A, B
-    grown = expm(both * h)
-    return grown[:size, :size], grown[:size, size:]
-
-
-def regulator(Ad: Array, Bd: Array, scales: Scales) -> Array:
-    """Gain K, (size,), of a = -K x that minimises the sum of x^T Q x + a^2/acceleration^2.
-
-    Q weighs position and each mode's sway by their scales. K = (R + B^T S B)^-1 B^T S A with S from
-    scipy.linalg.solve_discrete_are.
-    """
-    weights = np.zeros(len(Ad))
-    weights[0] = scales.position**-2
-    weights[2::2] = scales.sway**-2
-    R = np.array([[scales.acceleration**-2]])
-    S = solve_discrete_are(Ad, Bd, np.diag(weights), R)
-    K: Array = np.linalg.solve(R + Bd.T @ S @ Bd, Bd.T @ S @ Ad)[0]
-    return K
-
-
 @dataclass(frozen=True)
-class Piece:
-    """A time of constant acceleration."""
+class Designed:
+    """What is designed for a length of step."""
 
-    start: float  # s
-    end: float  # s
-    a: float  # m/s2
-
-
-def trapezoid(distance: float, limits: Limits, h: float) -> tuple[Piece, ...]:
-    """The fastest move from rest to rest whose phases are whole steps of ``h`` s.
-
-    n steps of acceleration a, m of cruise, n of braking: distance = a h^2 n (n + m). On this grid
-    the held command is the move itself, so it ends where it should.
-    """
-    length = abs(distance)
-    V, A = limits.velocity, limits.acceleration
-    whole = 1.0 - 1e-9  # a ratio that is whole but for round-off counts as whole
-    if length * A <= V * V:  # never reaches the limit of velocity
-        n, m = max(1, ceil(sqrt(length / A) / h * whole)), 0
-    else:
-        n = max(1, ceil(V / (A * h) * whole))
-        m = max(0, ceil(length / (V * h) * whole) - n)
-    a = distance / (h * h * n * (n + m))
-    return Piece(0.0, n * h, a), Piece((n + m) * h, (2 * n + m) * h, -a)
-
-
-def zv_shaped(pieces: Sequence[Piece], omega: float, air: float) -> tuple[Piece, ...]:
-    """The move given twice, half a damped period apart, so that the two swings cancel.
-
-    Zero-vibration shaper (Singer & Seering 1990): impulses 1/(1+k) and k/(1+k) with
-    k = exp(-zeta pi/sqrt(1 - zeta^2)), zeta = alpha/(2 omega). Overdamped: not shaped.
-    """
-    zeta = 0.5 * air / omega
-    if zeta >= 1.0:
-        return tuple(pieces)
-    k = exp(-zeta * pi / sqrt(1.0 - zeta**2))
-    half = pi / (omega * sqrt(1.0 - zeta**2))
-    first = tuple(replace(piece, a=piece.a / (1.0 + k)) for piece in pieces)
-    second = (Piece(p.start + half, p.end + half, p.a * k / (1.0 + k)) for p in pieces)
-    return first + tuple(second)
-
-
-def velocity_gained(pieces: Sequence[Piece], t: float) -> float:
-    """Velocity, m/s, at ``t`` s of a move from rest."""
-    return sum(p.a * (min(max(t, p.start), p.end) - p.start) for p in pieces)
+    Ad: Array  # of the trolley and the modes that are fed back
+    Bd: Array
+    K: Array
+    plan_Ad: Array  # of the trolley and the modes that are planned
+    plan_Bd: Array
 
 
 @dataclass(frozen=True)
@@ -246,9 +216,13 @@ class Drive:
     time: float = 0.0  # s
     a: float = 0.0  # m/s2, commanded now
     v: float | None = None  # m/s, that the commands have given the trolley; None: no step yet
-    goal: float | None = None  # m, where the last open-loop move ends
+    follows: float = 0.0  # m/s2, of the trolley now, where the drive lags
+    goal: float | None = None  # m, where the move ends; None: no move yet
     begun: float = 0.0  # s, when it began
-    move: tuple[Piece, ...] = ()
+    anew: int = 0  # plans in a row that a deviation has asked for
+    move: Move = field(default_factory=Move)
+    reference: tuple[float, ...] = ()  # the plan's state now
+    reference_a: float = 0.0  # m/s2, the plan's acceleration over the last step
 
 
 class AntiSway(ControlPart):
@@ -258,65 +232,216 @@ class AntiSway(ControlPart):
         self.settings = settings or AntiSwaySettings()
         self.settings.check()
         one = self.settings
-        crane, elements = design_crane(one.crane, one.model, one.elements)
-        self.string = TautString(discretise(crane, elements, one.mass_matrix))
-        self._design: dict[float, tuple[Array, Array, Array]] = {}
+        most = max(one.planned_modes, one.modes)
+        self.string = design_string(one.crane, one.model, one.elements, most, one.mass_matrix)
+        there = len(self.string.modes.omega)
+        self.modes = min(one.modes, there)
+        self.planned_modes = min(one.planned_modes, there)
+        self.model = plan.Model(
+            *design_model(self.string, self.planned_modes, one.lag),
+            self.string.modes.omega[: self.planned_modes],
+            one.lag,
+        )
+        self.weights, self.tolerance, self.deviation, self.calm = self._sizes()
+        self.warning: str | None = None  # what a user should be told of this design
+        self._designs: dict[float, Designed] = {}
         self._state = Drive()
 
-    def design(self, h: float) -> tuple[Array, Array, Array]:
-        """Ad, Bd and the regulator's gain for steps of ``h`` s, designed once. Raises BadValue."""
-        h = round(h, 9)
-        if h not in self._design:
-            Ad, Bd = discretised(*design_model(self.string, self.settings.modes), h)
+    def notice(self) -> str | None:
+        """What a user should be told of this design, once; None: nothing."""
+        return self.warning
+
+    def _sizes(self) -> tuple[Weights, float, float, float]:
+        """Weights, tolerance, deviation, calm, SI: as set, or as the crane's size suggests."""
+        one, A = self.settings, self.settings.limits.acceleration
+        omega = float(self.string.modes.omega[0])
+        length = A / omega**2
+        weights = Weights(
+            one.scales.position or POSITION * length,
+            one.scales.sway or SWAY * length,
+            one.scales.acceleration or ACCELERATION * A,
+            one.scales.jerk or JERK * A * omega,
+        )
+        tolerance = one.tolerance or TOLERANCE * length
+        deviation = one.deviation or DEVIATION * length
+        return weights, tolerance, deviation, one.calm or CALM * length
+
+    def design(self, h: float) -> Designed:
+        """What belongs to steps of ``h`` s, designed once. Raises BadValue."""
+        key = step_key(h)
+        if key not in self._designs:
+            A, B = design_model(self.string, self.modes, self.settings.lag)
+            shortest = SHORTEST / float(self.string.modes.omega[0])
             try:
-                K = regulator(Ad, Bd, self.settings.scales)
+                longer = max(key, shortest)
+                K = regulator(*discretised(A, B, longer), longer, self.modes, self.weights)
             except (LinAlgError, ValueError) as error:
                 allowed = f"a step that the trolley can control every mode with ({error})"
                 raise BadValue("step size", h, allowed) from None
-            if len(self._design) >= _CACHED:
-                self._design.clear()
-            self._design[h] = Ad, Bd, K
-        return self._design[h]
+            if len(self._designs) >= _CACHED:
+                self._designs.clear()
+            whole_plan = discretised(self.model.A, self.model.B, key)
+            self._designs[key] = Designed(*discretised(A, B, key), K, *whole_plan)
+        return self._designs[key]
 
     def step(self, h: float, told: AntiSwayInput) -> None:
         """Advance by ``h`` seconds.
 
-        Raises BadValue, the controller as it was, for a value that is not allowed.
+        Raises BadValue, the controller as it was, for a value that is not allowed and for a target
+        that no plan reaches.
         """
         check_rows(told)
         check_step_size(h)
         state = self._state
         start_v = told.trolley_v if state.v is None else state.v
-        state = replace(state, time=state.time + h, v=start_v + h * state.a)
-        if self.settings.method == "lqr":
-            wanted = self._regulated(h, state.a, told)
+        _, follows = followed(state.follows, state.a, h, self.settings.lag)
+        state = replace(state, time=state.time + h, v=start_v + h * state.a, follows=follows)
+        if self.settings.method in FEEDBACK:
+            state, wanted = self._regulated(state, h, told)
         else:
             state = self._moving(state, h, told.trolley_x, told.target_x)
-            t = state.time - state.begun
-            wanted = (velocity_gained(state.move, t + h) - float(state.v or 0.0)) / h
+            wanted = state.move.mean(state.time - state.begun, h)
         self._state = replace(state, a=self.limited(wanted, float(state.v or 0.0), h))
 
-    def _regulated(self, h: float, a: float, told: AntiSwayInput) -> float:
-        """a = -K x, x at the end of this step; far from the target, towards a steady cruise."""
-        Ad, Bd, K = self.design(h)
-        trolley = [told.trolley_x - told.target_x, told.trolley_v]
-        x = np.array(trolley + told.modes(self.settings.modes))
+    # --- in closed loop -----------------------------------------------------------------------
+
+    def _regulated(self, state: Drive, h: float, told: AntiSwayInput) -> tuple[Drive, float]:
+        """The reference at this step's end, and a = its own and what the regulator adds."""
+        one = self.design(h)
+        x = self._predicted(one, told)
+        if self.settings.method == "lqr":
+            far = CRUISE * self.settings.limits.velocity * one.K[1] / one.K[0]
+            x[0] = min(max(x[0] - told.target_x, -far), far)
+            x = self._felt(x)
+            return state, state.a - h * float(one.K @ np.append(x, state.a))
+        state = self._referred(state, one, x, h, told.target_x)
+        off = self._felt(x - self._fed_back(np.array(state.reference)))
+        before = state.a - state.reference_a
+        ahead = state.move.mean(state.time - state.begun, h)
+        wanted = ahead + before - h * float(one.K @ np.append(off, before))
+        return replace(state, reference_a=ahead), wanted
+
+    def _predicted(self, one: Designed, told: AntiSwayInput) -> Array:
+        """Trolley and fed back modes at the end of the step, relative to where a wind holds them.
+
+        The trolley stands to windward of the payload, which is to be on the target.
+        """
+        string, wind = self.string, told.wind_fx
+        shares = np.zeros(2 * self.modes)
+        shares[::2] = string.end[: self.modes] ** 2 / string.modes.omega[: self.modes] ** 2 * wind
+        x = np.append((told.trolley_x, told.trolley_v), told.modes(self.modes) - shares)
+        x[0] += string.end_by_force * wind
+        before = self._state
+        if self.settings.lag:
+            x = np.append(x, before.follows)
         if self.settings.inputs_at == "start":
-            x = Ad @ x + Bd[:, 0] * a
-        far = CRUISE * self.settings.limits.velocity * K[1] / K[0]
-        x[0] = min(max(x[0], -far), far)
-        return -float(K @ x)
+            x = one.Ad @ x + one.Bd[:, 0] * before.a
+        elif self.settings.lag:
+            x[-1] = followed(before.follows, before.a, 1.0, self.settings.lag)[1]
+        return x
+
+    def _felt(self, off: Array) -> Array:
+        """A deviation of trolley and modes, each mode less its calm part."""
+        felt = off.copy()
+        for mode in range(self.modes):
+            swing = slice(2 + 2 * mode, 4 + 2 * mode)
+            amplitude = hypot(off[2 + 2 * mode], off[3 + 2 * mode] / self.string.modes.omega[mode])
+            felt[swing] *= max(0.0, 1.0 - self.calm / amplitude) if amplitude else 0.0
+        return felt
+
+    def _fed_back(self, reference: Array) -> Array:
+        """The part of a plan's state that is fed back."""
+        kept = reference[: 2 + 2 * self.modes]
+        return np.append(kept, reference[-1]) if self.settings.lag else kept
+
+    def _referred(self, state: Drive, one: Designed, x: Array, h: float, target: float) -> Drive:
+        """The reference at the step's end, planned anew for another target or a deviation."""
+        if state.goal is None:
+            state = replace(state, goal=float(x[0]), reference=self._from_estimate(None, x))
+        else:
+            reference = one.plan_Ad @ state.reference + one.plan_Bd[:, 0] * state.reference_a
+            state = replace(state, reference=tuple(reference.tolist()))
+        since = state.time - state.begun
+        if target != state.goal and (not state.move.a or since >= HASTE * self.model.period):
+            state = replace(state, anew=0)
+            before = state.reference_a if state.move.a else state.a
+            try:
+                return self._planned(state, state.reference, before, h, target)
+            except plan.NoPlan as error:
+                raise BadValue("target.x", target, f"one that a plan reaches: {error}") from None
+        if self._beside(x, state.reference) <= self.deviation:
+            return replace(state, anew=0) if since >= state.move.end else state
+        if since < PAUSE * self.model.period * 2.0**state.anew:
+            return state
+        state = replace(state, anew=min(state.anew + 1, MOST_ANEW))
+        try:
+            anew = self._from_estimate(state.reference, x)
+            return self._planned(state, anew, state.a, h, float(state.goal or 0.0))
+        except plan.NoPlan:
+            return state
+
+    def _from_estimate(self, reference: tuple[float, ...] | None, x: Array) -> tuple[float, ...]:
+        """A plan's state from an estimate; modes that are not fed back as the plan has them."""
+        size = len(self.model.A)
+        whole_state = np.zeros(size) if reference is None else np.array(reference)
+        whole_state[: 2 + 2 * self.modes] = x[: 2 + 2 * self.modes]
+        if self.settings.lag:
+            whole_state[-1] = x[-1]
+        return tuple(whole_state.tolist())
+
+    def _beside(self, x: Array, reference: tuple[float, ...]) -> float:
+        """Sway beside the plan, m: the amplitudes of the fed back modes."""
+        omega = self.string.modes.omega
+        return sum(
+            hypot(
+                x[2 + 2 * mode] - reference[2 + 2 * mode],
+                (x[3 + 2 * mode] - reference[3 + 2 * mode]) / omega[mode],
+            )
+            for mode in range(self.modes)
+        )
+
+    def _planned(
+        self, state: Drive, reference: tuple[float, ...], a: float, h: float, target: float
+    ) -> Drive:
+        """A new plan from a state of trolley and modes and a commanded acceleration."""
+        x = np.array(reference)
+        x[0] -= target
+        margins = plan.Margins(spare=self.settings.spare)
+        start = plan.Start(x, a)
+        limits = self.settings.limits
+        move = plan.plan(self.model, start, limits, self.tolerance, margins, h)
+        return replace(
+            state, goal=target, begun=state.time, move=move, reference=reference, reference_a=a
+        )
+
+    # --- open loop ----------------------------------------------------------------------------
 
     def _moving(self, state: Drive, h: float, x: float, target: float) -> Drive:
         """Begin an open-loop move where the last one has ended and the target is another."""
         goal = x if state.goal is None else state.goal
-        ended = all(state.time - state.begun >= piece.end for piece in state.move)
-        if not ended or target == goal:
+        if state.time - state.begun < state.move.end or target == goal:
             return replace(state, goal=goal)
-        move = trapezoid(target - goal, self.settings.limits, h)
-        if self.settings.method == "zv":
-            move = zv_shaped(move, float(self.string.modes.omega[0]), self.string.air)
+        try:
+            move = self._open_move(target - goal, h)
+        except plan.NoPlan as error:
+            raise BadValue("target.x", target, f"one that a plan reaches: {error}") from None
         return replace(state, goal=target, begun=state.time, move=move)
+
+    def _open_move(self, distance: float, h: float) -> Move:
+        limits, omega = self.settings.limits, self.string.modes.omega.tolist()
+        if self.settings.method == "time_optimal":
+            x = np.zeros(len(self.model.A))
+            x[0] = -distance
+            start = plan.Start(x, 0.0)
+            return plan.plan(self.model, start, limits, self.tolerance, plan.FULL, h)
+        move = shapers.trapezoid(distance, limits, h)
+        if self.settings.method == "zv":
+            return shapers.zv_shaped(move, omega[0], self.string.air)
+        if self.settings.method == "zvd":
+            return shapers.zvd_shaped(move, omega[: self.modes], self.string.air)
+        return move
+
+    # --- all ----------------------------------------------------------------------------------
 
     def limited(self, a: float, v: float, h: float) -> float:
         """The acceleration nearest to ``a`` that keeps both limits over ``h`` s from ``v`` m/s."""
@@ -336,4 +461,5 @@ class AntiSway(ControlPart):
     def load(self, state: bytes) -> None:
         """Restore what :meth:`save` gave, in a controller with the same settings."""
         data = json.loads(state)
-        self._state = Drive(**data | {"move": tuple(Piece(**piece) for piece in data["move"])})
+        move = Move(tuple(data["move"]["times"]), tuple(data["move"]["a"]))
+        self._state = Drive(**data | {"move": move, "reference": tuple(data["reference"])})

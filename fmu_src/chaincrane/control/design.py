@@ -6,12 +6,15 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
+from ..plant.chain import discretise
 from ..plant.parameters import Crane, Initial, Numerics, check
-from ..variables import Variable, choice, row_of, rows, whole
+from ..variables import Variable, choice, parameter, row_of, rows, whole
+from .modes import MESH, StringModes
 
-MODELS = ("chain", "pendulum")
+MODELS = ("modes", "chain", "pendulum")
 INPUTS_AT = ("start", "end")
 MAX_DESIGN_ELEMENTS = 50
+MAX_MODES = 10
 SHOWN_MODES = 2
 
 
@@ -45,14 +48,35 @@ def design_rows(settings: Any) -> tuple[Variable, ...]:
 
 def model_choice(part: str) -> Any:
     """The field that chooses the model that a part is designed from; ``part`` begins its name."""
-    meaning = f"{' or '.join(MODELS)}: the taut string, or a massless rope"
+    meaning = (
+        f"{', '.join(MODELS)}: the first modes of the string, all modes of a few elements, or a"
+        " massless rope"
+    )
     return choice(f"{part}.model", MODELS[0], MODELS, meaning)
 
 
 def elements_choice(part: str) -> Any:
-    """The field with the number of elements of that model."""
-    meaning = "number of finite elements of the chain"
+    """The field with the number of elements of the model ``chain``."""
+    meaning = "number of finite elements of the model chain; no effect in the others"
     return whole(f"{part}.elements", 2, (1, MAX_DESIGN_ELEMENTS), meaning)
+
+
+def drive_lag() -> Any:
+    """The field with the drive's lag."""
+    return parameter(
+        "drive.lag",
+        "s",
+        0.0,
+        "time constant with which the trolley's acceleration follows trolley.a_cmd: 0 for a crane"
+        " of ours, which follows at once",
+        minimum=0.0,
+        nominal=0.1,
+    )
+
+
+def step_key(h: float) -> float:
+    """``h`` s without the round-off of a host's clock: what designs are kept by."""
+    return float(f"{h:.9g}")
 
 
 def check_design(crane: Crane, mass_matrix: str, speed: float = 0.0) -> None:
@@ -60,8 +84,12 @@ def check_design(crane: Crane, mass_matrix: str, speed: float = 0.0) -> None:
     check(crane, Initial(speed), Numerics(mass_matrix=mass_matrix))
 
 
-def design_crane(crane: Crane, model: str, elements: int) -> tuple[Crane, int]:
-    """The crane and its elements that stand for ``model``: a pendulum is one massless element."""
+def design_string(
+    crane: Crane, model: str, elements: int, modes: int, mass_matrix: str
+) -> StringModes:
+    """The string that stands for ``model``: a pendulum is one massless element."""
+    if model == "modes":
+        return StringModes(discretise(crane, MESH, mass_matrix), modes)
     if model == "pendulum":
-        return replace(crane, chain=replace(crane.chain, mass=0.0)), 1
-    return crane, elements
+        crane, elements = replace(crane, chain=replace(crane.chain, mass=0.0)), 1
+    return StringModes(discretise(crane, elements, mass_matrix), elements)

@@ -1,13 +1,16 @@
-"""The steady-state Kalman filter of the taut string: its matrices, its Riccati equation.
+"""The steady-state Kalman filter of the string: its matrices, its Riccati equation.
 
 State z = [omega eta; eta'] of the string's modes, m sqrt(kg)/s: free motion turns it, so that
 all of its matrices are well scaled. Disturbances: a force on the payload and an acceleration of the
-trolley, each held from sample to sample.
+trolley, each held from sample to sample. One more state may stand below them: an offset that
+walks slowly, a steady wind on the payload or a bias of the sensor. It is measured by what it shows
+in a sample at rest, and one of the two is all that one sensor can tell: at rest they look alike.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import pi, sqrt
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
@@ -16,10 +19,16 @@ from ..plant.chain import Array
 from ..plant.linear import TautString
 
 OBSERVABLE = 1e-6  # smallest observability margin that can be designed for
+FAST = 0.95 * pi  # rad that a mode may turn between samples; what turns faster is not corrected
+FAINT = 1e-4  # of the best seen mode's share in a sample; what shows less is not corrected
 
 
 class NoFilter(Exception):
     """There is no steady-state filter; the message says why."""
+
+
+class Unseen(NoFilter):
+    """Some motion never shows in the samples."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,7 @@ class Noise:
     acceleration: float  # m/s2, of the trolley, held over sample_time
     measurement: float  # m or rad, of each sample
     sample_time: float  # s
+    walk: float = 0.0  # of the offset, in a sample's unit by the root of a second
 
 
 def transition(string: TautString, t: float) -> Array:
@@ -55,14 +65,50 @@ def held_input(string: TautString, t: float) -> Array:
     return np.vstack((moved[:, None] * load, s[:, None] * load))
 
 
-def held_noise(string: TautString, noise: Noise, interval: float, t: float) -> Array:
-    """Q: covariance of z after ``t`` s, from none, of disturbances held over ``interval`` s.
+@dataclass(frozen=True)
+class Watched:
+    """A string, what a sensor sees of it, and the noise of both."""
 
-    Q = Gamma(t) diag(force^2, acceleration^2) Gamma(t)^T sample_time/interval: held longer, they
-    are weaker, so that their power at low frequency stays.
-    """
-    gamma = held_input(string, t) * np.array([noise.force, noise.acceleration])
-    return np.asarray(gamma @ gamma.T * (noise.sample_time / interval))
+    string: TautString
+    c: Array  # (2n,), a sample by z; with an offset (2n + 1,)
+    noise: Noise
+    pull: float | None = None  # N of wind by unit of offset; 0: a bias; None: no offset
+
+    def transition(self, t: float) -> Array:
+        """Phi(t) of the whole state: an offset stays, and as a wind it drives the modes."""
+        phi = transition(self.string, t)
+        if self.pull is None:
+            return phi
+        driven = held_input(self.string, t)[:, :1] * self.pull
+        return np.block([[phi, driven], [np.zeros((1, len(phi))), np.ones((1, 1))]])
+
+    def held_noise(self, interval: float, t: float) -> Array:
+        """Q: covariance after ``t`` s, from none, of disturbances held over ``interval`` s.
+
+        Q = Gamma(t) diag(force^2, acceleration^2) Gamma(t)^T sample_time/interval: held longer,
+        they are weaker, so that their power at low frequency stays. An offset walks: walk^2 t.
+        """
+        noise, modal = self.noise, 2 * len(self.string.modes.omega)
+        gamma = held_input(self.string, t) * np.array([noise.force, noise.acceleration])
+        Q = np.zeros((len(self.c), len(self.c)))
+        Q[:modal, :modal] = gamma @ gamma.T * (noise.sample_time / interval)
+        if self.pull is not None:
+            Q[-1, -1] = noise.walk**2 * t
+        return Q
+
+    def corrected(self, interval: float) -> Array:
+        """Places in the state that samples every ``interval`` s correct, whole numbers.
+
+        Mode 1 always; the others where they show and turn by less than half a turn between
+        samples. The others run on uncorrected: no disturbance of the model moves them much either.
+        """
+        omega, n = self.string.modes.omega, len(self.string.modes.omega)
+        shown = np.abs(self.c[:n] * omega) / np.abs(self.c[:n] * omega).max()
+        keep = (omega * interval < FAST) & (shown > FAINT)
+        keep[0] = True
+        modes = np.flatnonzero(keep)
+        offset = [] if self.pull is None else [2 * n]
+        return np.concatenate((modes, n + modes, np.array(offset, dtype=int)))
 
 
 def observability(phi: Array, c: Array) -> float:
@@ -78,45 +124,58 @@ def observability(phi: Array, c: Array) -> float:
 
 @dataclass(frozen=True)
 class Filter:
-    """A steady-state filter for samples every ``interval`` s."""
+    """A steady-state filter for samples every ``interval`` s; m states, an offset the last."""
 
     interval: float  # s
-    gain: Array  # (2n,), z gained per unit of innovation
-    prior: Array  # (2n, 2n), error covariance of z just before a sample
+    gain: Array  # (m,), state gained per unit of innovation
+    prior: Array  # (m, m), error covariance just before a sample
     posterior: Array  # the same, just after
+    surprise: float  # standard deviation of an innovation
 
 
-def steady_state(string: TautString, noise: Noise, c: Array, interval: float) -> Filter:
+def steady_state(watched: Watched, interval: float) -> Filter:
     """The filter for samples y = c z + v every ``interval`` s, v of noise.measurement.
 
     P = Phi (P - k c P) Phi^T + Q, k = P c^T/(c P c^T + r): the discrete Riccati equation, by
-    scipy.linalg.solve_discrete_are. Raises NoFilter where the samples cannot show some motion.
+    scipy.linalg.solve_discrete_are, in units of r. Raises Unseen where the samples cannot show
+    some motion, and NoFilter where the noise leaves no solution.
     """
-    phi = transition(string, interval)
-    margin = observability(phi, c)
+    kept = watched.corrected(interval)
+    block = np.ix_(kept, kept)
+    phi, c = watched.transition(interval)[block], watched.c[kept]
+    modal = len(kept) // 2 * 2  # without the offset
+    margin = observability(phi[:modal, :modal], c[:modal])
     if not margin >= OBSERVABLE:
-        raise NoFilter(f"some motion hardly shows in these samples (margin {margin:.1e})")
-    Q = held_noise(string, noise, interval, interval)
-    r = np.array([[noise.measurement**2]])
-    try:
-        P = solve_discrete_are(phi.T, c[:, None], Q, r)
-    except (LinAlgError, ValueError) as error:
-        raise NoFilter(f"the Riccati equation has no solution ({error})") from None
-    seen = P @ c
-    gain = seen / (float(c @ seen) + noise.measurement**2)
-    keep = np.eye(len(c)) - np.outer(gain, c)
-    posterior = keep @ P @ keep.T + np.outer(gain, gain) * noise.measurement**2  # Joseph's form
-    if not (np.isfinite(gain).all() and np.abs(np.linalg.eigvals(phi @ keep)).max() < 1.0):
+        raise Unseen(f"some motion hardly shows in these samples (margin {margin:.1e})")
+    r = watched.noise.measurement
+    with np.errstate(all="ignore"):
+        try:
+            Q = watched.held_noise(interval, interval)[block] / r / r
+            P = solve_discrete_are(phi.T, c[:, None], Q, np.eye(1))
+            seen = P @ c
+            spread = float(c @ seen) + 1.0
+            gain = seen / spread
+            keep = np.eye(len(c)) - np.outer(gain, c)
+            posterior = keep @ P @ keep.T + np.outer(gain, gain)  # Joseph's form
+            stable = np.abs(np.linalg.eigvals(phi @ keep)).max() < 1.0
+        except (LinAlgError, ValueError, ZeroDivisionError) as error:
+            raise NoFilter(f"the Riccati equation has no solution ({error})") from None
+    if not (np.isfinite(gain).all() and stable):
         raise NoFilter("the Riccati equation's solution is not stable")
-    return Filter(interval, gain, P, posterior)
+    size = len(watched.c)
+    everywhere = np.zeros(size)
+    everywhere[kept] = gain
+    before, after = np.zeros((2, size, size))
+    before[block], after[block] = P * r * r, posterior * r * r
+    return Filter(interval, everywhere, before, after, r * sqrt(spread))
 
 
-def predicted(string: TautString, noise: Noise, found: Filter, t: float) -> Array:
-    """Error covariance of z ``t`` s after a sample was used, none having been used since."""
+def predicted(watched: Watched, found: Filter, t: float) -> Array:
+    """Error covariance ``t`` s after a sample was used, none having been used since."""
     P = found.posterior
     while t > 0.0:
         span = min(t, found.interval)
-        phi = transition(string, span)
-        P = phi @ P @ phi.T + held_noise(string, noise, found.interval, span)
+        phi = watched.transition(span)
+        P = phi @ P @ phi.T + watched.held_noise(found.interval, span)
         t -= found.interval
     return P

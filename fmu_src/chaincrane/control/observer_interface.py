@@ -45,8 +45,11 @@ OUTPUTS = (
         output(f"mode.vx_rel[{i}]", "m/s", f"share of mode {i} in payload.vx_rel")
         for i in range(1, SHOWN_MODES + 1)
     ),
+    output("wind.fx", "N", "steady force on the payload; 0 unless observer.offset = wind"),
     output("camera.innovation", "m", "last sample less what was expected; 0 with the other sensor"),
     output("rope.innovation", "rad", "last sample less what was expected; 0 with the other sensor"),
+    output("camera.bias_found", "m", "bias of the camera; 0 unless observer.offset = bias"),
+    output("rope.bias_found", "rad", "bias of the rope sensor; 0 unless observer.offset = bias"),
     *(
         output(
             f"std.{name}",
@@ -59,9 +62,13 @@ OUTPUTS = (
             ("payload.vx_rel", "m/s"),
             ("chain.mid_x_rel", "m"),
             ("chain.top_angle", "rad"),
+            ("wind.fx", "N"),
+            ("camera.bias_found", "m"),
+            ("rope.bias_found", "rad"),
         )
     ),
     count("sensor.samples", "samples used since the start"),
+    count("sensor.left_out", "samples that the gate has left out since the start"),
 )
 
 VARIABLES = INPUTS + PARAMETERS + OUTPUTS
