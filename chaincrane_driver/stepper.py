@@ -243,8 +243,8 @@ def _compiled() -> Path:
     if not place.exists():
         from chaincrane_builder.stepper import for_host
 
+        place.parent.mkdir(parents=True, exist_ok=True)  # else it would be compiled each time
         made = for_host()
-        place.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=place.parent, delete=False) as file:
             file.write(made)
         os.replace(file.name, place)  # whole, whoever else makes it

@@ -34,8 +34,12 @@ def wheel(fmus: Path, native_fmus: Path, tmp_path_factory: pytest.TempPathFactor
     backend = load_backend()
     folder = tmp_path_factory.mktemp("wheel")
 
-    def built_already(arguments: list[str], **_: object) -> None:
-        assert arguments[1:3] == ["build_fmu.py", "--dest"]
+    run = subprocess.run
+
+    def built_already(arguments: list[str], **more: Any) -> None:
+        if arguments[1:3] != ["build_fmu.py", "--dest"]:
+            run(arguments, **more)
+            return
         source = native_fmus if "--native" in arguments else fmus
         shutil.copytree(source, arguments[3], dirs_exist_ok=True)
 
