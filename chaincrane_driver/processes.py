@@ -28,6 +28,7 @@ from .tables import Table
 from .worker import AT, DONE, READY, Work
 
 SLOW = 1.0  # s, work that takes longer than this gets a progress bar
+MINUTE = 60.0  # s, from line to line where there is no terminal
 BATCH_TIME = 0.1  # s, that a batch of work should take at least
 LISTEN = 0.5  # s
 STILLBORN = 2  # workers that may die before they are ready, one after the other
@@ -49,8 +50,11 @@ class Failure(str):
 
 
 def progress_bar(**more: Any) -> tqdm[Any]:
-    """A bar that shows on a terminal alone, and only for work that takes a while."""
-    return tqdm(delay=SLOW, leave=False, disable=None, **more)
+    """A bar for work that takes a while; where there is no terminal, in CI say, a line a minute."""
+    if sys.stderr.isatty():
+        return tqdm(delay=SLOW, leave=False, **more)
+    more["bar_format"] = "{desc}: {percentage:.0f} % after {elapsed}\n"
+    return tqdm(delay=MINUTE, mininterval=MINUTE, maxinterval=MINUTE, leave=False, **more)
 
 
 def cores() -> int:

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 import zipfile
 from hashlib import sha256
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from chaincrane_driver import cli, scenario, stale
+from chaincrane_driver import cli, processes, scenario, stale
 from chaincrane_driver.compare import check, difference, reference_rows
 from chaincrane_driver.errors import UserError
 from chaincrane_driver.processes import simulate_all
@@ -453,3 +454,21 @@ def test_reference_rows_leave_the_cost_out() -> None:
 
 def test_all_scenarios_are_there() -> None:
     assert [one.name for one in scenario.find(SCENARIOS)] == NAMES
+
+
+def test_off_a_terminal_progress_is_a_line_a_minute(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With a minute of 10 ms."""
+    monkeypatch.setattr(processes, "MINUTE", 0.01)
+    with processes.progress_bar(total=4, desc="check") as bar:
+        for _ in range(4):
+            time.sleep(0.02)
+            bar.update()
+    lines = [line for line in re.split(r"[\r\n]+", capsys.readouterr().err) if line.strip()]
+    assert 3 <= len(lines) <= 5
+    assert lines[0] == "check: 25 % after 00:00"
+    monkeypatch.setattr(processes, "MINUTE", 60.0)
+    with processes.progress_bar(total=1, desc="check") as bar:
+        bar.update()
+    assert capsys.readouterr().err == ""
