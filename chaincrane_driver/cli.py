@@ -1,4 +1,4 @@
-"""The command line: chaincrane run, converge, figures, check, antisway, sweep, study."""
+"""The command line: chaincrane run, converge, figures, check, antisway, sweep, fit, study."""
 
 from __future__ import annotations
 
@@ -14,7 +14,17 @@ from importlib import metadata
 from pathlib import Path
 from typing import NoReturn
 
-from . import compare, converge, plots, report, scenario, shipped, study
+from . import (
+    compare,
+    converge,
+    fit_command,
+    plots,
+    report,
+    scenario,
+    shipped,
+    study,
+    sweep_command,
+)
 from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_setting
 from .check_command import (
     add_check_options,
@@ -30,7 +40,6 @@ from .processes import Timed, progress_bar, simulate_all
 from .scenario import Scenario
 from .ssp import write_ssp
 from .stale import say_if_stale
-from .sweep_command import add_options, command_sweep
 from .tables import Table, write_table
 
 PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
@@ -343,12 +352,19 @@ def parser() -> argparse.ArgumentParser:
     )
     antisway.add_argument("--out", type=Path, default=Path("results/antisway"), help="folder")
 
-    add_options(
+    sweep_command.add_options(
         command(
             "sweep",
-            command_sweep,
+            sweep_command.command_sweep,
             "chaincrane sweep scenarios/paper_heavy --vary"
             " payload.mass=0.05:0.5:50 --vary chain.elements=2,5,10",
+        )
+    )
+    fit_command.add_options(
+        command(
+            "fit",
+            fit_command.command_fit,
+            "chaincrane fit scenarios/paper_heavy measured.csv --fit payload.mass=0.3 --shift",
         )
     )
 

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from . import dataset, scenario, vary
+from . import dataset, scenario, shipped, vary
 from .antisway import Setup, parse_setting
 from .cluster import dask
 from .compare import markdown_table, shown
 from .dataset import Results
 from .errors import UserError, instead
+from .stale import say_if_stale
 from .subjects import Metric, Subject, loop_subject, scenario_subject
 from .sweep import Scheduler, local, sweep
 from .sweep_plots import sweep_figure
@@ -34,6 +35,7 @@ def command_sweep(options: argparse.Namespace) -> int:
     if subject.kept:
         dataset.require_all()
     metrics = _drawn(subject, options.draw)
+    say_if_stale(subject.fmus.values())
     out = options.out or Path("results") / f"sweep_{Path(options.subject).resolve().name}"
     files = sweep(subject, design, out, _scheduler(options), options.anew)
     results = dataset.read_csv(files.table, subject, design)
@@ -72,7 +74,7 @@ def _subject(options: argparse.Namespace, design: Design) -> Subject:
     if options.subject != LOOP:
         if options.set:
             raise UserError(f"--set is for the closed loop: chaincrane sweep {LOOP}")
-        one = scenario.load(Path(options.subject))
+        one = scenario.load(shipped.scenario(Path(options.subject)))
         names = [run.name for run in one.runs]
         for name in options.run:
             if name not in names:
