@@ -214,8 +214,8 @@ def test_its_books_are_kept(library: Any, air: float) -> None:
 @pytest.mark.parametrize("payload", PAYLOADS.values(), ids=PAYLOADS.keys())
 @pytest.mark.parametrize("case", ["stop", "release"])
 def test_ten_minutes_keep_their_energy(library: Any, case: str, payload: float) -> None:
-    """At 4 ms: within 5e-6 of the swing's energy when released, 5e-3 after the paper's stop, where
-    it goes into waves that the mesh's end cuts off.
+    """At 4 ms: within 5e-6 of the swing's energy when released, 3e-3 after the paper's stop, where
+    it goes into waves that no step resolves well.
     """
     initial = Initial() if case == "stop" else Initial(0.0, 0.3)
     crane = NativeCrane(
@@ -227,7 +227,7 @@ def test_ten_minutes_keep_their_energy(library: Any, case: str, payload: float) 
         crane.step(10.0)
     out = crane.outputs()
     swing = 0.5 * (0.22 + payload) * 0.8**2 if case == "stop" else out["energy.total"]
-    assert abs(out["energy.error"]) < (5e-3 if case == "stop" else 5e-6) * swing
+    assert abs(out["energy.error"]) < (3e-3 if case == "stop" else 5e-6) * swing
 
 
 # --- others that agree --------------------------------------------------------------------------

@@ -29,6 +29,7 @@ struct GaussChain {
     double *shape;         /* m, W at the points that are seen, POINTS x n */
     double *slope;         /* W'(0) */
     double *hanging;       /* N, tension at rest */
+    double *inverse;       /* 1/m, of the weights */
     double fastest;        /* rad/s */
     Turning first, stage;  /* at a step's start; at a stage of it */
     Turning rates[STAGES]; /* u' and om' at each stage */
@@ -253,6 +254,7 @@ static size_t lay_out(struct GaussChain *c, SetUp *s, int n, double *memory) {
     c->shape = take(memory, &used, POINTS * N);
     c->slope = take(memory, &used, N);
     c->hanging = take(memory, &used, N);
+    c->inverse = take(memory, &used, N);
     lay_out_gauss(&s->reference, fine, memory, &used);
     s->modes = take(memory, &used, N * N);
     s->taken = take(memory, &used, N + (size_t)fine);
@@ -285,6 +287,7 @@ static void prepare(Workspace *work, void *memory) {
         double sum = 0.0;
         for (int j = 0; j < n; j++) sum += (j % 2 ? -1.0 : 1.0) * (2 * j + 1) * at_point[j];
         c->slope[q] = g->weight[q] / p->chain_length * sum;
+        c->inverse[q] = 1.0 / g->weight[q];
         c->hanging[q] = p->gravity * g->load[q] / g->weight[q];
     }
     c->fastest = mend_inertia(g, &s.reference, p->gravity, s.modes, s.taken);
@@ -306,10 +309,16 @@ static Vector unit(Vector d) {
 
 static Vector across(Vector u) { return (Vector){-u.y, u.x}; }
 
+/* Tangent q of a motion's nodes: the length of a link is its weight. */
+static Vector tangent(const struct GaussChain *c, const Vector *r, int q) {
+    Vector link = along(r, q);
+    return (Vector){link.x * c->inverse[q], link.y * c->inverse[q]};
+}
+
 static void turning_of(const struct GaussChain *c, const Motion *motion, Turning *t) {
     for (int q = 0; q < c->gauss.n; q++) {
-        t->u[q] = unit(along(motion->r, q));
-        t->om[q] = dot(across(t->u[q]), along(motion->w, q)) / c->gauss.weight[q];
+        t->u[q] = tangent(c, motion->r, q);
+        t->om[q] = dot(across(t->u[q]), along(motion->w, q)) * c->inverse[q];
     }
 }
 
@@ -337,7 +346,7 @@ static void posture(const Workspace *work, const Motion *motion, Posture *postur
     posture->payload_w = motion->w[n - 1];
     for (int i = 0; i < POINTS; i++) posture->points[i] = (Vector){0.0, 0.0};
     for (int q = 0; q < n; q++) {
-        Vector u = unit(along(motion->r, q));
+        Vector u = tangent(c, motion->r, q);
         posture->node1.x += c->slope[q] * u.x;
         posture->node1.y += c->slope[q] * u.y;
         for (int i = 0; i < POINTS; i++) {
@@ -353,7 +362,7 @@ static void posture(const Workspace *work, const Motion *motion, Posture *postur
 static double potential(const Workspace *work, const Vector *r) {
     const struct GaussChain *c = work->gauss;
     double sum = 0.0;
-    for (int q = 0; q < c->gauss.n; q++) sum += c->gauss.load[q] * (unit(along(r, q)).y + 1.0);
+    for (int q = 0; q < c->gauss.n; q++) sum += c->gauss.load[q] * (tangent(c, r, q).y + 1.0);
     return work->chain.settings.gravity * sum;
 }
 
@@ -361,8 +370,7 @@ static double potential(const Workspace *work, const Vector *r) {
 static double momentum(const Workspace *work, const Vector *w) {
     const struct GaussChain *c = work->gauss;
     double sum = 0.0;
-    for (int q = 0; q < c->gauss.n; q++)
-        sum += c->gauss.load[q] * (along(w, q).x / c->gauss.weight[q]);
+    for (int q = 0; q < c->gauss.n; q++) sum += c->gauss.load[q] * (along(w, q).x * c->inverse[q]);
     return sum;
 }
 
@@ -375,7 +383,7 @@ static double kinetic(const Workspace *work, const Vector *w, double trolley_v) 
     for (int q = 0; q < n; q++) {
         const double *S = c->gauss.inertia + q * n;
         Vector d = along(w, q), sum = {0.0, 0.0};
-        rate[q] = (Vector){d.x / c->gauss.weight[q], d.y / c->gauss.weight[q]};
+        rate[q] = (Vector){d.x * c->inverse[q], d.y * c->inverse[q]};
         for (int r = 0; r < q; r++) {
             sum.x += S[r] * rate[r].x;
             sum.y += S[r] * rate[r].y;
@@ -472,7 +480,7 @@ static void tensions(const Workspace *work, const Turning *t, const double *al, 
             sum.x -= S * c->rate[r].x;
             sum.y -= S * c->rate[r].y;
         }
-        tension[q] = dot(t->u[q], sum) / c->gauss.weight[q];
+        tension[q] = dot(t->u[q], sum) * c->inverse[q];
     }
 }
 

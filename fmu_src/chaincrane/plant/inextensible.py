@@ -37,7 +37,7 @@ from .scheme import Jump, Load, Motion, StepResult
 LONGEST_TURN = 0.5  # rad, of the fastest mode in a step
 SMOOTH_ENERGY_TOLERANCE = 1e-6  # of the energy put in so far, what a step may be off by
 FOURTH_ORDER_SHARE = 0.0667  # 1/(2^4 - 1), Richardson's
-FASTEST_TURN = 1.0  # rad, the same, where the tension has grown; a longer step is halved
+FASTEST_TURN = 2.0  # rad, the same, where the tension has grown; a longer step is halved
 
 
 def legendre(degree: int, y: Array) -> Array:
@@ -192,8 +192,7 @@ class InextensibleChain:
     # --- the motion by nodes and by tangents --------------------------------------------------
 
     def _turning(self, motion: Motion) -> Turning:
-        link = along_elements(motion.r)
-        u = link / np.hypot(link[:, 0], link[:, 1])[:, None]
+        u = along_elements(motion.r) / self.chain.weights[:, None]
         rate = along_elements(motion.w)
         return Turning(u, np.einsum("ij,ij->i", across(u), rate) / self.chain.weights)
 
@@ -221,8 +220,7 @@ class InextensibleChain:
 
     def potential(self, r: Array) -> float:
         """g sum b_q (u_qy + 1), J."""
-        link = along_elements(r)
-        height = link[:, 1] / np.hypot(link[:, 0], link[:, 1]) + 1.0
+        height = along_elements(r)[:, 1] / self.chain.weights + 1.0
         return self.chain.crane.gravity * float(self.chain.load @ height)
 
     def momentum(self, w: Array) -> float:
