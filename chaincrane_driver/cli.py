@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import platform
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -58,10 +59,10 @@ def checked_units(one: Scenario, fmus: Path) -> dict[str, str | None]:
     variables = describe(fmus / one.runs[0].fmu).modelVariables
     outputs = [variable for variable in variables if variable.causality == "output"]
     units = {variable.name: variable.unit for variable in outputs}
-    for signal in one.look_at:
-        if signal not in units:
-            path, near = one.folder / "scenario.toml", instead(signal, units)
-            raise UserError(f"{path}: look_at: there is no {signal!r}{near}")
+    for name in one.look_at:
+        if name not in units:
+            path, near = one.folder / "scenario.toml", instead(name, units)
+            raise UserError(f"{path}: look_at: there is no {name!r}{near}")
     return units
 
 
@@ -405,6 +406,8 @@ def versions() -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of the command; errors that a user can mend are one line."""
+    if arguments is None:  # a program of its own: being ended is as Ctrl-C, and leaves nothing
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     given = sys.argv[1:] if arguments is None else arguments
     if given[:1] == ["build"]:  # it alone needs the models, and what makes FMUs of them
         from chaincrane_builder import command

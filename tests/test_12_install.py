@@ -141,6 +141,7 @@ def build_fails(
     ("error", "says"),
     [
         (OSError(28, "No space left on device", "crane_lin.part"), "crane_lin.part: No space left"),
+        (OSError(28, "No space left on device"), f"into {Path.cwd()}: No space left on device"),
         (KeyboardInterrupt(), "chaincrane: stopped"),
         (
             subprocess.CalledProcessError(1, "zig", stderr="x\nerror: unable: NoSpaceLeft\ny"),
@@ -172,8 +173,13 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is no signal there")
-@pytest.mark.parametrize("job", ["run", "build"])
-def test_ctrl_c_is_one_line_and_leaves_nothing(fmus: Path, tmp_path: Path, job: str) -> None:
+@pytest.mark.parametrize(
+    ("job", "sign"),
+    [("run", signal.SIGINT), ("build", signal.SIGINT), ("run", signal.SIGTERM)],
+)
+def test_ctrl_c_is_one_line_and_leaves_nothing(
+    fmus: Path, tmp_path: Path, job: str, sign: signal.Signals
+) -> None:
     """A minute-long run, and a build with a cold cache, stopped in the middle."""
     temporary, out = tmp_path / "tmp", tmp_path / "out"
     temporary.mkdir()
@@ -197,7 +203,10 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(fmus: Path, tmp_path: Path, job: 
             break
         time.sleep(0.1)
     time.sleep(0.5)
-    os.killpg(worker.pid, signal.SIGINT)
+    if sign == signal.SIGINT:
+        os.killpg(worker.pid, sign)
+    else:
+        worker.send_signal(sign)
     _, errors = worker.communicate(timeout=60)
     lines = [line for line in errors.splitlines() if not line.endswith(" ...")]
     assert lines == ["chaincrane: stopped"], errors

@@ -55,8 +55,8 @@ def main(
     except subprocess.CalledProcessError as error:
         code = _say_compile_error(error)
     except OSError as error:
-        what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        print(f"chaincrane: {what}", file=sys.stderr)
+        where = error.filename or f"cannot build into {options.dest.resolve()}"
+        print(f"chaincrane: {where}: {error.strerror or error}", file=sys.stderr)
     finally:
         tempfile.tempdir = None
         os.environ.pop("TMPDIR", None)
