@@ -230,6 +230,7 @@ def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> li
     panel.plot(time, gap, color="black", linewidth=1.0, label="estimate less truth")
     panel.legend(frameon=False, loc="upper right")
     panel.set_ylabel("error of estimate, mm")
+    panel.margins(x=0)
     low, high = panel.get_ylim()
     panel.set_ylim(low, high + 0.4 * (high - low))  # room for the legend
     for panel in axes[1]:

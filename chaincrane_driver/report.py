@@ -118,7 +118,8 @@ def _digits(curves: Iterable[np.ndarray | None]) -> int:
 
 def _html_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+        texts = (escape(cell.replace("m/s2", "m/s\N{SUPERSCRIPT TWO}")) for cell in cells)
+        return "<tr>" + "".join(f"<{tag}>{text}</{tag}>" for text in texts) + "</tr>"
 
     body = [line(header, "th"), *(line(row, "td") for row in rows)]
     return "<table>\n" + "\n".join(body) + "\n</table>"
