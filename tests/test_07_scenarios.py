@@ -380,6 +380,8 @@ def test_a_stale_fmu_is_not_checked(
     monkeypatch.setattr(stale.changed_sources, "__defaults__", (tmp_path,))
     every = sorted(fmus.glob("*.fmu"))
     assert not stale.say_if_stale(every)
+    (tmp_path / "fmu_src" / "documentation" / "EQUATIONS.md").write_text("other words")
+    assert not stale.say_if_stale(every)
     parameters = tmp_path / "fmu_src" / "chaincrane" / "plant" / "parameters.py"
     text = parameters.read_text()
     assert "9.81" in text

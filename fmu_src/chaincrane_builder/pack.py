@@ -26,6 +26,7 @@ from .fmus import FMUS, LICENCE, NATIVE, NATIVE_MODELS, SOURCES
 PACKAGE, SLAVE = "chaincrane", "fmi_slave"
 EARLIEST = 315532800  # 1980-01-01, the first day that a zip file can name
 FMI_SLAVE_C = "fmi2_slave.c"
+OF_THE_BUILD = ("c_header", "compile_c", "fmus", "model_description", "pack")  # what decides an FMU
 
 
 Say = Callable[[str], None]  # is told what is being done
@@ -220,7 +221,7 @@ def _c_files(model: str) -> list[str]:
 
 
 def made_from(model: str) -> bytes:
-    """Hashes of all files that decide what ``model``'s FMU is, in sha256sum's format.
+    """Hashes of all files that decide what ``model``'s FMU does, in sha256sum's format.
 
     A driver beside the sources sees by them whether the FMU is still what the sources say. They are
     not in the guid: a comment here leaves an FMU of C what it was.
@@ -232,10 +233,9 @@ def made_from(model: str) -> bytes:
         root = FMI_SLAVE_C if fmu.crane else "kernel.c"
         files += [SOURCES / "native" / name for name in compile_c.included(root, crane)]
         files += [SOURCES / "native" / compile_c.NO_STARTUP, *SHARED_MODULES]
-    files += sorted((SOURCES / "documentation").iterdir())
     names = {file.relative_to(SOURCES).as_posix(): file for file in files if file.exists()}
     here = Path(__file__).parent
-    names |= {f"{here.name}/{file.name}": file for file in sorted(here.glob("*.py"))}
+    names |= {f"{here.name}/{name}.py": here / f"{name}.py" for name in OF_THE_BUILD}
     lines = [f"{sha256(file.read_bytes()).hexdigest()}  fmu_src/{n}" for n, file in names.items()]
     return "\n".join([*sorted(lines, key=lambda line: line[64:]), ""]).encode()
 
