@@ -220,11 +220,11 @@ def command_study(options: argparse.Namespace) -> int:
     """Run a study from the FMUs: tables and a picture. The study: observer, some minutes."""
     say_if_stale(sorted(options.fmus.glob("crane_*.fmu")))
     results = study.run(options.fmus)
-    text = f"{study.PREFACE}\n{study.report(results)}"
+    text = study.report(results)
     path = options.out / "observer_study.md"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
-    print(study.summary(results) + "\n")
+    print(study.answer(results) + "\n")
     written = [path, *study.picture(results, options.out / "observer_study")]
     print("written: " + ", ".join(str(path) for path in written))
     return 0

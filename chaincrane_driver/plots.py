@@ -241,21 +241,20 @@ def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> li
 
 
 def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) -> list[Path]:
-    """Sway and its estimates' errors, a column for each payload."""
+    """Sway and command of several moves, a column for each payload."""
     figure, axes = new_figure(2, len(panels), WIDTH, 3.6, sharex=True, sharey="row")
     for column, (label, runs) in enumerate(panels):
         for (name, whole), style in zip(runs, RUN_STYLES, strict=False):
-            table = whole[::2]
-            time, sway = table["time"], 1e3 * table["crane::payload.x_rel"]
-            axes[0, column].plot(time, sway, label=name, **style)
-            if name.startswith("LQR"):
-                gap = 1e3 * table["observer::payload.x_rel"] - sway
-                axes[1, column].plot(time, gap, **style)
+            table = whole[whole["time"] <= 8.0][::2]
+            axes[0, column].plot(
+                table["time"], 1e3 * table["crane::payload.x_rel"], label=name, **style
+            )
+            axes[1, column].plot(table["time"], table["antisway::trolley.a_cmd"], **style)
         axes[0, column].set_title(f"{'ab'[column]}) {label} payload", loc="left")
         axes[1, column].set_xlabel("time, s")
         axes[0, column].margins(x=0)
     axes[0, 0].set_ylabel("payload's sway, mm")
-    axes[1, 0].set_ylabel("estimate less truth, mm")
+    axes[1, 0].set_ylabel("command, m/s²")
     figure.suptitle("1 m within 0.5 m/s and 1 m/s²; rope-angle sensor, 0.5 degree noise")
     _legend(figure, axes[0, 0])
     return save_figure(figure, stem)

@@ -146,6 +146,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             self._build()
         else:
             self._model.start_time = self._start
+        self._say_notice("at initialisation")
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance the model; False, the state unchanged, where that cannot be done."""
@@ -186,10 +187,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         told = self.inputs(**{symbol: values[place] for place, symbol in self._told})
         self._advance(self._model, self._meant(current_time, step_size), told)
         self._time = end
-        notice = self._model.notice()
-        if notice is not None and not self._noticed:
-            self.log(f"at t = {self._time:.6g} s: {notice}", Fmi2Status.warning, "logStatusWarning")
-            self._noticed = True
+        self._say_notice(f"at t = {self._time:.6g} s")
 
     def _meant(self, current_time: float, step_size: float) -> float:
         """The step size without the round-off of the host's times."""
@@ -217,6 +215,13 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             raise BadValue(name, seen[place], allowed)
         self._values[self._first_output :] = seen
         self._observed = True
+
+    def _say_notice(self, when: str) -> None:
+        """Log what a user should be told of the model, once."""
+        notice = None if self._model is None else self._model.notice()
+        if notice is not None and not self._noticed:
+            self.log(f"{when}: {notice}", Fmi2Status.warning, "logStatusWarning")
+            self._noticed = True
 
     def _build(self) -> None:
         """Make the model from the parameters; a bad one becomes a fault."""

@@ -13,6 +13,8 @@ from conftest import PAYLOADS, in_fresh_process
 from fmpy.validation import validate_fmu
 
 from chaincrane.control import kalman, observer_interface
+from chaincrane.control.drive import followed
+from chaincrane.control.modes import StringModes
 from chaincrane.control.observer import (
     AssumedNoise,
     CraneObserver,
@@ -464,3 +466,84 @@ def test_initial_dependencies_are_declared(fmus: Path) -> None:
         assert set(parameters) <= set(declared), name
         one_alone = "bias_found" in name  # takes another sensor or offset besides
         assert parameters or not declared or one_alone, name
+
+
+# --- gate, offset, models ----------------------------------------------------------------------
+
+
+def test_one_impossible_sample_is_left_out_and_a_true_jump_believed() -> None:
+    """1.57 rad on a chain at rest: not a trace; a sway that stays is believed after five."""
+    watch = CraneObserver(ObserverSettings(LIGHT, speed=0.0))
+    for number in range(200):
+        watch.step(0.01, ObserverInput(rope_top_angle=1.57 if number == 150 else 0.0))
+    assert watch.outputs()["payload.x_rel"] == 0.0
+    assert watch.outputs()["sensor.left_out"] == 1
+    for _ in range(10):
+        watch.step(0.01, ObserverInput(rope_top_angle=0.3))
+    assert watch.outputs()["sensor.left_out"] == 6
+    assert watch.outputs()["payload.x_rel"] > 0.01
+    assert CraneObserver(at_rest(gate=0.0)).settings.gate == 0.0
+
+
+@pytest.mark.parametrize("sensor", ["camera", "rope"])
+@pytest.mark.parametrize("offset", ["wind", "bias"])
+def test_wind_or_bias_is_found(sensor: str, offset: str) -> None:
+    """On the linear crane, no noise: what is left of it after 18 times its time is below a thousandth."""
+    bias = {"camera": 0.005, "rope": 0.01}[sensor] if offset == "bias" else 0.0
+    sensors = {"camera": Camera(bias=bias), "rope": Rope(bias=bias)}
+    noise = AssumedNoise(camera=1e-3, rope=1e-3, payload=0.05)
+    own: dict[str, Any] = {"sensor": sensor, "offset": offset, "periods": 1.0, "gate": 0.0}
+    settings = at_rest(noise=noise, **own, **{sensor: sensors[sensor]})
+    truth = LinearCrane(LIGHT, Initial(0.0), Numerics(elements=2))
+    watch = CraneObserver(settings)
+    wind = 0.05 if offset == "wind" else 0.0
+    for _ in range(3000):
+        seen = truth.outputs()
+        truth.step(0.01, Command(payload_fx=wind))
+        watch.step(
+            0.01,
+            ObserverInput(
+                camera_x_rel=seen["payload.x_rel"], rope_top_angle=seen["chain.top_angle"]
+            ),
+        )
+    found, expected = watch.outputs(), truth.outputs()
+    assert found["wind.fx"] == pytest.approx(wind, abs=1e-4)
+    assert found[f"{sensor}.bias_found"] == pytest.approx(bias, abs=1e-4)
+    assert found["payload.x_rel"] == pytest.approx(expected["payload.x_rel"], abs=3e-4)
+
+
+@pytest.mark.parametrize("sensor", ["camera", "rope"])
+@pytest.mark.parametrize("elements", [20, 30, 50])
+def test_many_elements_serve_with_either_sensor(sensor: str, elements: int) -> None:
+    watch = CraneObserver(at_rest(sensor=sensor, elements=elements))
+    found = watch.filter_for(0.01)
+    assert found.gain[0] != 0.0 and np.isfinite(watch.deviations()).all()
+
+
+def test_modes_of_a_fine_mesh_know_what_they_leave_out() -> None:
+    """At rest under wind and braking: the static solution of forty elements, to round-off."""
+    chain = discretise(LIGHT, 40)
+    few, every = StringModes(chain, 3), StringModes(chain, 40)
+    pulled, blown = -few.push / few.modes.omega**2, few.end / few.modes.omega**2
+    all_pulled, all_blown = -every.push / every.modes.omega**2, every.end / every.modes.omega**2
+    for place, (some, whole) in enumerate(((pulled, all_pulled), (blown, all_blown))):
+        np.testing.assert_allclose(
+            few.points @ some + few.points_left[:, place], every.points @ whole, atol=1e-12
+        )
+        slope = few.slope @ some + few.slope_left[place]
+        assert slope == pytest.approx(every.slope @ whole, abs=1e-12)
+    assert few.end_by_force == pytest.approx(every.end_by_force, abs=1e-12)
+
+
+def test_a_lagging_drive_is_followed() -> None:
+    """A drive with 50 ms of lag moves the crane; the observer knows, and stays with it."""
+    lag, h, a = 0.05, 0.01, 0.0
+    truth = LinearCrane(LIGHT, Initial(0.0), Numerics(elements=2))
+    watch = CraneObserver(at_rest(lag=lag, clock=Clock(delay=99.0)))
+    for number in range(200):
+        command = 0.5 if number < 60 else -0.5 if number < 120 else 0.0
+        mean, a = followed(a, command, h, lag)
+        truth.step(h, Command(trolley_a_cmd=mean))
+        watch.step(h, ObserverInput(trolley_a_cmd=command))
+    for name in ("trolley.v", "payload.x_rel", "chain.top_angle"):
+        assert watch.outputs()[name] == pytest.approx(truth.outputs()[name], abs=1e-12), name

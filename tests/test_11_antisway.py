@@ -18,16 +18,18 @@ from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chaincrane.control import plan
-from chaincrane.control.antisway import METHODS, AntiSway, AntiSwayInput, AntiSwaySettings
+from chaincrane.control import plan, stability
+from chaincrane.control.antisway import METHODS, AntiSway, AntiSwayInput, AntiSwaySettings, Scales
+from chaincrane.control.modes import StringModes
 from chaincrane.control.move import Limits, Move
+from chaincrane.control.observer import CraneObserver, ObserverInput, ObserverSettings
 from chaincrane.control.regulator import Weights, design_model, discretised, regulator
 from chaincrane.control.shapers import trapezoid, zv_shaped, zvd_shaped
 from chaincrane.errors import BadValue
 from chaincrane.plant.chain import discretise
 from chaincrane.plant.command import Command
 from chaincrane.plant.linear import LinearCrane, TautString
-from chaincrane.plant.parameters import Crane, Damping, Initial, Numerics, Payload
+from chaincrane.plant.parameters import Chain, Crane, Damping, Initial, Numerics, Payload
 from chaincrane_driver import study
 from chaincrane_driver.antisway import Setup, measure
 from chaincrane_driver.errors import UserError
@@ -238,6 +240,58 @@ def test_limits_hold_exactly_whatever_comes_in(
         assert abs(a) <= limits.acceleration
 
 
+@pytest.mark.parametrize("mass", [HEAVY, LIGHT], ids=PAYLOADS.keys())
+@pytest.mark.parametrize("sensor", ["camera", "rope"])
+def test_the_closed_loop_matrix_is_the_loop(mass: float, sensor: str) -> None:
+    """The matrix's step against observer, controller and linear crane, stepped; to round-off.
+
+    Far from calm, so that all is fed back, and small, so that the rope's tangent is its angle.
+    """
+    crane, h = Crane(payload=Payload(mass)), 0.01
+    own: dict[str, Any] = {"model": "chain", "elements": 2}
+    control = AntiSway(AntiSwaySettings(crane, method="lqr", **own))
+    watch = CraneObserver(ObserverSettings(crane, speed=0.0, sensor=sensor, gate=0.0, **own))
+    truth = LinearCrane(crane, Initial(0.0, 1e-6), Numerics(elements=2))
+    string = StringModes(truth.chain, 2)
+    loop = stability.closed_loop(control, watch, string, h)
+    state = np.zeros(len(loop))
+    state[:2] = truth.modes.omega * truth._motion.eta
+    a = 0.0
+    for _ in range(100):
+        seen, guess = truth.outputs(), watch.outputs()
+        told = {
+            name.replace(".", "_").replace("[", "_").replace("]", ""): value
+            for name, value in guess.items()
+            if name.startswith("mode.") or name == "wind.fx"
+        }
+        truth.step(h, Command(trolley_a_cmd=a))
+        watch.step(
+            h,
+            ObserverInput(
+                trolley_a_cmd=a,
+                camera_x_rel=seen["payload.x_rel"],
+                rope_top_angle=seen["chain.top_angle"],
+            ),
+        )
+        control.step(
+            h, AntiSwayInput(trolley_x=seen["trolley.x"], trolley_v=seen["trolley.v"], **told)
+        )
+        a = control.outputs()["trolley.a_cmd"]
+        state = loop @ state
+    assert abs(a) > 1e-8
+    assert state[-1] == pytest.approx(a, rel=1e-6)
+    assert state[4] == pytest.approx(truth.outputs()["trolley.x"], rel=1e-6)
+
+
+def test_an_unstable_loop_is_told() -> None:
+    """20 m of chain with a lab crane's weights; with weights of its own size it is stable."""
+    crane = Crane(Chain(20.0, 60.0), Payload(30.0))
+    lab = AntiSway(AntiSwaySettings(crane, scales=Scales(0.2, 0.1, 0.5, 2.0)))
+    told = stability.warning(lab, 0.01)
+    assert told is not None and "eigenvalue" in told
+    assert stability.warning(AntiSway(AntiSwaySettings(crane)), 0.01) is None
+
+
 def test_open_loop_takes_the_next_target_after_the_move() -> None:
     control = AntiSway(AntiSwaySettings(method="zv"))
     x = v = a = 0.0
@@ -421,6 +475,15 @@ def test_errors_are_one_line(fmus: Path, tmp_path: Path, options: Any, message: 
 
 
 def test_the_study_has_all_its_rows() -> None:
-    named = [(case.table, *case.cells) for case in study.cases()]
-    assert len(named) == len(set(named)) == 158
-    assert {name for name, *_ in named} == set(study.TITLES)
+    """Paired: the rows of a sample share what the plant is and what its noise begins with."""
+    every = list(study.cases())
+    assert {case.table for case in every} == {"moves", "models", "pushes", "long", "sizes"}
+    samples: dict[Any, set[str]] = {}
+    for case in every:
+        if case.table == "models":
+            one = case.setup
+            believed = one.more[OBSERVER]
+            key = (one.payload, one.sensor, one.believed, *believed.values())
+            samples.setdefault(key, set()).add(case.row[-1])
+    assert len(samples) == study.SAMPLES * 4
+    assert all(len(models) == len(study.MODELS) for models in samples.values())

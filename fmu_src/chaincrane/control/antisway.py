@@ -55,7 +55,8 @@ MOST_ANEW = 4  # times twice
 HASTE = 0.05  # periods of mode 1 from a plan to one for the next target: a target may slide
 # The weights that a crane's size suggests, in A/omega_1^2, A and A omega_1.
 POSITION, SWAY, ACCELERATION, JERK = 2.5, 1.2, 0.5, 0.55
-TOLERANCE, DEVIATION, CALM = 0.045, 0.07, 0.025  # of A/omega_1^2
+LEAST_PLANNED, SHARE = 3, 2e-3
+TOLERANCE, DEVIATION, CALM = 0.045, 0.07, 0.02  # of A/omega_1^2
 _CACHED = 64
 
 
@@ -128,9 +129,10 @@ class AntiSwaySettings:
     )
     planned_modes: int = whole(
         "antisway.planned_modes",
-        3,
-        (1, MAX_MODES),
-        "number of modes that a plan brings to rest, at most those that the model has",
+        0,
+        (0, MAX_MODES),
+        "number of modes that a plan brings to rest, at most those that the model has; 0: three,"
+        " and more where the payload is light beside the chain",
     )
     inputs_at: str = choice(
         "antisway.inputs_at",
@@ -163,7 +165,7 @@ class AntiSwaySettings:
     calm: float = _sized(
         "calm",
         "m",
-        "planned, lqr: sway in a mode, beside the plan, of which nothing is fed back: less is the"
+        "planned: sway in a mode, beside the plan, of which nothing is fed back: less is the"
         " filter's noise, and what it does not know of the chain",
         CALM,
         "A/omega_1^2",
@@ -232,11 +234,10 @@ class AntiSway(ControlPart):
         self.settings = settings or AntiSwaySettings()
         self.settings.check()
         one = self.settings
-        most = max(one.planned_modes, one.modes)
-        self.string = design_string(one.crane, one.model, one.elements, most, one.mass_matrix)
+        self.string = design_string(one.crane, one.model, one.elements, MAX_MODES, one.mass_matrix)
         there = len(self.string.modes.omega)
         self.modes = min(one.modes, there)
-        self.planned_modes = min(one.planned_modes, there)
+        self.planned_modes = min(one.planned_modes or self._worth_planning(), there)
         self.model = plan.Model(
             *design_model(self.string, self.planned_modes, one.lag),
             self.string.modes.omega[: self.planned_modes],
@@ -246,6 +247,15 @@ class AntiSway(ControlPart):
         self.warning: str | None = None  # what a user should be told of this design
         self._designs: dict[float, Designed] = {}
         self._state = Drive()
+
+    def _worth_planning(self) -> int:
+        """Modes up to the last one that holds a SHARE of the payload's sway, three at least.
+
+        Of the sway under a steady acceleration, phi_n phi^T b/omega^2, beside mode 1's.
+        """
+        string = self.string
+        held = np.abs(string.end * string.push / string.modes.omega**2)
+        return max(LEAST_PLANNED, int(np.flatnonzero(held >= SHARE * held[0])[-1]) + 1)
 
     def notice(self) -> str | None:
         """What a user should be told of this design, once; None: nothing."""
@@ -312,7 +322,6 @@ class AntiSway(ControlPart):
         if self.settings.method == "lqr":
             far = CRUISE * self.settings.limits.velocity * one.K[1] / one.K[0]
             x[0] = min(max(x[0] - told.target_x, -far), far)
-            x = self._felt(x)
             return state, state.a - h * float(one.K @ np.append(x, state.a))
         state = self._referred(state, one, x, h, told.target_x)
         off = self._felt(x - self._fed_back(np.array(state.reference)))

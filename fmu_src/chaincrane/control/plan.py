@@ -6,7 +6,7 @@ scipy.optimize.linprog hands to HiGHS:
 
 - by bisection the fewest cells N from whose end on the payload stays within a tolerance of its
   target, all planned modes and the trolley being at rest half a period of mode 1 later;
-- then, with a share more time, the least sway that is left where all frequencies are wrong by
+- then, with a share more time, the least sway that ROBUST modes keep where frequencies are wrong by
   SPREAD, and with little weight the least jerk.
 
 A long move is a ramp to its cruise and one to rest, planned alike: over the whole of it a residual
@@ -35,6 +35,7 @@ MOST_CELLS = 400
 MORE_CELLS = (0, 4, 12, 28, 60)  # beyond what it is given, that a plan may take to keep its jerk
 LONG = 2.5  # periods of mode 1 of cruise: a longer move is planned ramp by ramp
 TAIL = 0.5  # periods of mode 1 from settling to rest
+ROBUST = 3  # modes
 SPREAD = 0.05  # of each frequency: a length wrong by a tenth
 JERK_WEIGHT = 0.02  # of a jerk of A omega_1 beside a sway of A/omega_1^2
 AT_REST = 1e-9  # of A/omega_1^2 and its rates: as good as at rest
@@ -275,7 +276,8 @@ class _Program:
         v0 = self.v / self.scale.v
         ends = self.nominal.rows(np.eye(len(goal)), M)
         free = np.arange(len(goal)) if within else np.arange(1, len(goal))  # a ramp's way is open
-        extra = 1 + len(self.model.omega)  # the most jerk, and the most sway left in each mode
+        # The most jerk, and the most sway left in each of the modes that are made robust.
+        extra = 1 + min(len(self.model.omega), ROBUST)
 
         def wide(cells: Any, velocities: Any = None, unit: int | None = None, by: Any = 0.0) -> Any:
             """Rows of cells and end velocities, and ``by`` in the column of an extra unknown."""
