@@ -91,7 +91,7 @@ def test_what_data_cannot_tell_apart_is_said(native_fmus: Path) -> None:
 
 
 def test_a_model_that_is_not_the_cranes_is_said(native_fmus: Path) -> None:
-    """The data's payload is twice as heavy; only a bias is fitted."""
+    """The data's chain is shorter; only a bias is fitted."""
     job = heavy(native_fmus / "crane_nl_native.fmu")
     data = measured(job.fmu, seed=4, true={"chain.length": 0.7})
     asked = fit.parameters(job, data, [], shift=False, bias=True)

@@ -488,7 +488,7 @@ def test_one_impossible_sample_is_left_out_and_a_true_jump_believed() -> None:
 @pytest.mark.parametrize("sensor", ["camera", "rope"])
 @pytest.mark.parametrize("offset", ["wind", "bias"])
 def test_wind_or_bias_is_found(sensor: str, offset: str) -> None:
-    """On the linear crane, no noise: what is left of it after 18 times its time is below a thousandth."""
+    """On the linear crane, no noise: after 18 times its time a thousandth of it is left at most."""
     bias = {"camera": 0.005, "rope": 0.01}[sensor] if offset == "bias" else 0.0
     sensors = {"camera": Camera(bias=bias), "rope": Rope(bias=bias)}
     noise = AssumedNoise(camera=1e-3, rope=1e-3, payload=0.05)

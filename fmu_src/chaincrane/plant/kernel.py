@@ -144,6 +144,7 @@ class NativeCrane:
         c.crane_create(self._address, settings)
         self._shared_state = c.crane_shared(self._address)
         self._command, self._failure = _Command(), _Failure()
+        self._held: Command | None = None  # what self._command was filled from
         self._command_address = ctypes.addressof(self._command)
         self._failure_address = ctypes.addressof(self._failure)
         self._outputs = (ctypes.c_double * len(OUTPUTS))()
@@ -162,12 +163,14 @@ class NativeCrane:
 
     def step(self, h: float, command: Command = IDLE) -> None:
         """Advance by ``h`` seconds under a held command, as :meth:`CraneModel.step` does."""
-        held = self._command
         try:
-            for name in _COMMAND_FIELDS:
-                setattr(held, name, getattr(command, name))
+            if command is not self._held:
+                for name in _COMMAND_FIELDS:
+                    setattr(self._command, name, getattr(command, name))
+                self._held = command
             outcome = self._c_step(self._address, h, self._command_address, self._failure_address)
         except (ctypes.ArgumentError, TypeError):
+            self._held = None
             outcome = Outcome.BAD_VALUE
         if outcome != Outcome.DONE:
             self._raise(outcome, h, command)
