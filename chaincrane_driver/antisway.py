@@ -21,6 +21,7 @@ STOP_TIME = 12.0  # s
 STEP = 0.01  # s
 LAST = 5.0  # s, at the end: where residual sway is looked at
 SETTLED = 5e-3  # m
+PUSH = (7.0, 7.5, 0.5)  # s, s, m/s2 by the payload's mass
 NOISE = {"camera": 0.002, "rope": radians(0.5)}  # m, rad, standard deviations of each sample
 # The crane's parameters that observer and controller are told too.
 TOLD_TO_ALL = ("chain.length", "chain.mass", "chain.EA", "payload.mass", "gravity")

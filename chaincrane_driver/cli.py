@@ -26,7 +26,7 @@ from . import (
     study,
     sweep_command,
 )
-from .antisway import HEAVY, TARGET, Setup, measure, metrics_table, parse_setting
+from .antisway import HEAVY, PUSH, TARGET, Setup, measure, metrics_table, parse_setting
 from .check_command import (
     add_check_options,
     add_export_options,
@@ -154,7 +154,7 @@ def command_figures(options: argparse.Namespace) -> int:
 def command_antisway(options: argparse.Namespace) -> int:
     """Move the crane by 1 m in closed loop: metrics, a picture, the SSP package.
 
-    Crane, observer and controller run as FMUs, beside two open-loop moves for comparison. With
+    Crane, observer and controller run as FMUs, beside three open-loop moves for comparison. With
     --master ecos or libcosim those run the package; all compares them with FMPy.
     """
     more: dict[str, dict[str, object]] = {}
@@ -172,6 +172,7 @@ def command_antisway(options: argparse.Namespace) -> int:
         stop_time=options.stop,
         step=options.step,
         order=options.order,
+        push=PUSH if options.push else None,
         more=more,
     )
     if not 0.0 < setup.step <= setup.stop_time < float("inf"):
@@ -179,7 +180,8 @@ def command_antisway(options: argparse.Namespace) -> int:
     others = [master for master in MASTERS[1:] if options.master in (master, "all")]
     if others and setup.order != "parallel":
         raise UserError("ecos and libcosim step side by side: --order sequential is FMPy's alone")
-    methods = [setup.method, *(m for m in ("zv", "trapezoid") if m != setup.method)]
+    beside = ("time_optimal", "zv", "trapezoid")
+    methods = [setup.method, *(method for method in beside if method != setup.method)]
     loops = [
         report.with_shape(replace(setup, method=method).loop(options.fmus)) for method in methods
     ]
@@ -199,7 +201,9 @@ def command_antisway(options: argparse.Namespace) -> int:
     title = f"{setup.target:g} m; payload {setup.payload:g} kg; {setup.sensor} sensor"
     title += f"; observer: {setup.label}"
     written = [ssp, options.out / "fmpy.csv"]
-    written += plots.antisway_figure(shown, title, options.out / "antisway")
+    bars = [(label, one.settling, 1e3 * one.residual) for label, one in rows]
+    push = PUSH[:2] if options.push else None
+    written += plots.antisway_figure(shown, bars, push, title, options.out / "antisway")
     told = report.of_antisway(setup, loops[0], shown, title)
     written.append(told.write(options.out / "antisway.html"))
     print("written: " + ", ".join(str(path) for path in written))
@@ -343,6 +347,9 @@ def parser() -> argparse.ArgumentParser:
         antisway.add_argument(
             f"--{name}", choices=choices, default=choices[0], help=f"{text} ({choices[0]})"
         )
+    antisway.add_argument(
+        "--push", action="store_true", help="push the payload, 0.5 m/s2 from 7 to 7.5 s; --stop 20"
+    )
     antisway.add_argument("--clean", action="store_true", help="a sensor without noise")
     antisway.add_argument(
         "--set",

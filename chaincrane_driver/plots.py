@@ -208,9 +208,19 @@ def shape_figure(
     return save_figure(figure, stem)
 
 
-def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> list[Path]:
-    """Position, sway, estimate against truth, and command; the first run is the one estimated."""
-    figure, axes = new_figure(2, 2, 1.3 * WIDTH, 4.2, sharex=True)
+def antisway_figure(
+    runs: list[tuple[str, Table]],
+    bars: list[tuple[str, float, float]],
+    push: tuple[float, float] | None,
+    title: str,
+    stem: Path,
+) -> list[Path]:
+    """Position, sway, estimate against truth, command; below, bars of settling and residual.
+
+    The first run is the one estimated. ``bars``: label, s (nan: it does not settle), mm. ``push``:
+    when one begins and ends, s.
+    """
+    figure, axes = new_figure(3, 2, 1.3 * WIDTH, 6.0)
     panels = (
         ("crane::payload.x", 1.0, "payload's position x", "m"),
         ("crane::payload.x_rel", 1e3, "payload's sway", "mm"),
@@ -233,11 +243,32 @@ def antisway_figure(runs: list[tuple[str, Table]], title: str, stem: Path) -> li
     panel.margins(x=0)
     low, high = panel.get_ylim()
     panel.set_ylim(low, high + 0.4 * (high - low))  # room for the legend
+    for panel in axes[:2].flat:
+        panel.set_xlim(time[0], time[-1])
+        if push is not None:
+            panel.axvspan(*push, color="0.8", linewidth=0)
     for panel in axes[1]:
         panel.set_xlabel("time, s")
+    _bars(axes[2, 0], [(label, settling) for label, settling, _ in bars], "settles, s")
+    _bars(axes[2, 1], [(label, residual) for label, _, residual in bars], "residual sway, mm")
+    axes[2, 1].set_yticklabels([])
     figure.suptitle(title)
     _legend(figure, axes[0, 0])
     return save_figure(figure, stem)
+
+
+def _bars(axes: Axes, bars: list[tuple[str, float]], text: str) -> None:
+    """A bar for each run, its number at its end; "-" where there is none."""
+    labels, lengths = zip(*bars, strict=True)
+    there = [0.0 if np.isnan(length) else length for length in lengths]
+    places = np.arange(len(bars))[::-1]
+    axes.barh(places, there, color="0.6", height=0.6)
+    for place, length in zip(places, lengths, strict=True):
+        number = "does not settle" if np.isnan(length) else f" {length:.2f}"
+        axes.text(0.0 if np.isnan(length) else length, place, number, va="center")
+    axes.set_yticks(places, labels)
+    axes.set_xlabel(text)
+    axes.set_xlim(0.0, 1.25 * max(max(there), 1e-9))
 
 
 def study_figure(panels: list[tuple[str, list[tuple[str, Table]]]], stem: Path) -> list[Path]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from . import plots
-from .antisway import HEAVY, LIGHT, NOISE, Setup, estimation_error
+from .antisway import HEAVY, LIGHT, NOISE, PUSH, Setup, estimation_error
 from .compare import markdown_table
 from .loop import ANTISWAY, CRANE, OBSERVER, Loop, column
 from .processes import simulate_all
@@ -29,7 +29,6 @@ OPEN = ("time_optimal", "zv", "zvd", "trapezoid")
 SEEDS = (1, 2, 3)
 SAMPLES = 5
 MASS_OFF, LENGTH_OFF = 0.3, 0.1  # what is believed is wrong by at most that much
-PUSH = (7.0, 7.5, 0.5)  # s, s, m/s2 by the payload's mass
 PUSHED_STOP = 20.0  # s
 LONG_STOP = 300.0  # s
 SIZES = (0.3, 0.8, 10.0, 50.0)  # m of chain
