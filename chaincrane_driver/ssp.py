@@ -13,6 +13,9 @@ from .start_values import check_start_values
 
 SSP = "http://ssp-standard.org/SSP1/"
 OSP = "com.opensimulationplatform"  # whose annotation libcosim takes its step size from
+OMS = "org.openmodelica"  # whose annotation OMSimulator takes it from
+OMS_SCHEMA = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"
+OMS_TOLERANCE = "0.0001"  # which it asks for, and which a fixed step has no use for
 PARAMETERS = "start"  # name of the parameter sets
 EARLIEST = (1980, 1, 1, 0, 0, 0)
 
@@ -40,6 +43,7 @@ def structure(name: str, loop: Loop) -> bytes:
             "xmlns:ssc": f"{SSP}SystemStructureCommon",
             "xmlns:ssv": f"{SSP}SystemStructureParameterValues",
             "xmlns:osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+            "xmlns:oms": OMS_SCHEMA,
             "name": name,
             "version": "1.0",
         },
@@ -57,6 +61,7 @@ def structure(name: str, loop: Loop) -> bytes:
             "endConnector": taken,
         }
         SubElement(connections, "ssd:Connection", ends)
+    _master_of_omsimulator(system, loop.step)
     times = {"startTime": "0.0", "stopTime": repr(loop.stop_time)}
     experiment = SubElement(root, "ssd:DefaultExperiment", times)
     annotations = SubElement(experiment, "ssd:Annotations")
@@ -66,6 +71,15 @@ def structure(name: str, loop: Loop) -> bytes:
     indent(root)
     text: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
     return text
+
+
+def _master_of_omsimulator(system: Element, step: float) -> None:
+    """What OMSimulator wants to find in a system: its own master with a fixed step."""
+    annotation = SubElement(SubElement(system, "ssd:Annotations"), "ssc:Annotation", {"type": OMS})
+    information = SubElement(SubElement(annotation, "oms:Annotations"), "oms:SimulationInformation")
+    tolerances = dict.fromkeys(("absoluteTolerance", "relativeTolerance"), OMS_TOLERANCE)
+    master = {"description": "oms-ma", "stepSize": repr(step)} | tolerances
+    SubElement(information, "oms:FixedStepMaster", master)
 
 
 def _component(elements: Element, part: str, loop: Loop) -> None:
