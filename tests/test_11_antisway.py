@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from conftest import PAYLOADS, in_fresh_process
+from conftest import PAYLOADS, ROOT, in_fresh_process
 from fmpy.ssp.ssd import read_ssd
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
@@ -487,3 +487,42 @@ def test_the_study_has_all_its_rows() -> None:
             samples.setdefault(key, set()).add(case.row[-1])
     assert len(samples) == study.SAMPLES * 4
     assert all(len(models) == len(study.MODELS) for models in samples.values())
+
+
+def table_rows(text: str, title: str) -> list[list[str]]:
+    """Rows of the Markdown table under the heading that begins with ``title``."""
+    _, after = text.split(f"## {title}", maxsplit=1)
+    lines = [line for line in after.split("\n## ")[0].splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def test_the_studys_page_is_the_fmus(fmus: Path) -> None:
+    """Open-loop moves of its first table, run again: to what the page's digits can tell."""
+    page = (ROOT / "docs" / "observer_study.md").read_text()
+    told = {tuple(row[:3]): row[3:5] for row in table_rows(page, "Methods")}
+    chosen = [c for c in study.cases() if c.table == "moves" and c.row[1] in ("time_optimal", "zv")]
+    results = simulate_all([case.loop(fmus) for case in chosen], "study")
+    for case, result in zip(chosen, results, strict=True):
+        settling, residual = (float(cell) for cell in told[case.row])
+        found = study.measured(case, result)
+        assert found.settling == pytest.approx(settling, abs=0.006), case.row
+        assert 1e3 * found.residual == pytest.approx(residual, abs=0.006), case.row
+
+
+def test_the_growth_that_the_observers_page_tells() -> None:
+    """The largest of sensors, payloads and misbeliefs, as its sentence has it."""
+    page = (ROOT / "docs" / "observer.md").read_text()
+    assert "by 0.0018 1/s at most" in page
+    worst = 0.0
+    for mass in (HEAVY, LIGHT):
+        believed = Crane(payload=Payload(mass))
+        control = AntiSway(AntiSwaySettings(believed))
+        for sensor in ("camera", "rope"):
+            watch = CraneObserver(ObserverSettings(believed, speed=0.0, sensor=sensor))
+            for length, factor in ((0.8, 0.7), (0.8, 1.3), (0.72, 1.0), (0.88, 1.0)):
+                crane = Crane(Chain(length), Payload(factor * mass))
+                growth = stability.predicted_growth(control, watch, crane, 0.01)
+                worst = max(worst, growth.rate)
+                calm = stability.predicted_growth(control, watch, crane, 0.01, calm=True)
+                assert calm.rate < 1.2e-4
+    assert worst == pytest.approx(0.0018, abs=5e-5)
