@@ -240,11 +240,12 @@ def chosen(
 
 
 def real_outputs(variables: Mapping[str, ScalarVariable]) -> list[str]:
-    """Names of the Real outputs."""
+    """Names of the Real outputs that are no counts."""
     return [
         name
         for name, variable in variables.items()
-        if variable.causality == "output" and variable.type == "Real"
+        if (variable.causality, variable.type) == ("output", "Real")
+        and variable.variability != "discrete"
     ]
 
 

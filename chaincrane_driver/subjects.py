@@ -325,7 +325,8 @@ class LoopSubject:
                 part, _, variable = name.partition(SEPARATOR)
                 more.setdefault(part, {})[variable] = value
                 continue
-            kind = type(getattr(setup, WORDS[name]))
+            now = getattr(setup, WORDS[name])
+            kind: Any = int if now is None else type(now)  # no number of elements: string modes
             if kind in (int, float) and not isinstance(value, (int, float)):
                 raise UserError(f"{name} = {value!r} is not allowed: a number")
             if kind is int and not float(value).is_integer():

@@ -140,6 +140,9 @@ def test_fmu_is_the_model(fmus: Path, library: Any, model: str) -> None:
         "solver.scheme": "newmark",
         "chain.mass_matrix": "averaged",
         "solver.error_estimate": "companion",
+        "solver.tolerance": 1e-4,
+        "solver.tolerance_from": "parameter",
+        "chain.formulation": "truss",
     }
     assert set(start) == {variable.name for variable in PARAMETERS}
     inputs = np.array(
@@ -155,7 +158,7 @@ def test_fmu_is_the_model(fmus: Path, library: Any, model: str) -> None:
             damping=Damping(0.1, 1e-5),
         ),
         Initial(0.3, 0.1),
-        Numerics(7, 2e-3, "newmark", "averaged", "companion"),
+        Numerics(7, 2e-3, "newmark", "averaged", error_estimate="companion", tolerance=1e-4),
     )
     for row in range(2):
         for name, value in crane.outputs().items():
