@@ -426,7 +426,7 @@ def plot(points: list[Point], cost: dict[Point, float], path: Path) -> None:
         "mujoco euler": ("#D55E00", "v"),
     }
     for solver, (colour, marker) in styles.items():
-        mine = [p for p in points if p.solver == solver and p.error < 0.1]
+        mine = [p for p in points if p.solver == solver and 0.0 < p.error < 0.1]
         axes.loglog(
             [1e3 * p.error for p in mine],
             [1e3 * cost[p] for p in mine],
@@ -450,7 +450,7 @@ def plot(points: list[Point], cost: dict[Point, float], path: Path) -> None:
     axes.set_ylabel("time for 4 s of the paper's run, ms")
     axes.grid(alpha=0.25, which="both")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     axes.set_title("Work and precision: ten steel elements or eight points", loc="left", fontsize=9)
     figure.savefig(path, dpi=200, metadata={"Date": None} if path.suffix == ".svg" else None)
 

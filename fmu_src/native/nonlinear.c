@@ -263,10 +263,12 @@ static Outcome compared_step(NonlinearCrane *crane, double v, const Command *com
     force = 0.5 * (force + head->trolley_fx);
     int slack = head->slack_time > 0.0 || other->head->slack_time > 0.0;
     double share = formulation_of(&work->chain.settings)->error_share(slack);
+    double of_forces = FORCE_SHARE * share;
     head->error_payload = larger(head->error_payload, share * norm(gap));
     head->error_tension_top =
-        larger(head->error_tension_top, fabs(tension - other->motion.tension[0]));
-    head->error_trolley_fx = larger(head->error_trolley_fx, fabs(force - other->head->trolley_fx));
+        larger(head->error_tension_top, of_forces * fabs(tension - other->motion.tension[0]));
+    head->error_trolley_fx =
+        larger(head->error_trolley_fx, of_forces * fabs(force - other->head->trolley_fx));
     return DONE;
 }
 
