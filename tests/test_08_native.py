@@ -551,7 +551,8 @@ def _strange_folder(fmu: str, folder: str) -> float:
     slave.enterInitializationMode()
     slave.exitInitializationMode()
     slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.5)
-    (x,) = slave.getReal([v.valueReference for v in description.modelVariables][19:20])
+    names = {v.name: v.valueReference for v in description.modelVariables}
+    (x,) = slave.getReal([names["payload.x"]])
     slave.freeInstance()
     return float(x)
 
