@@ -450,7 +450,7 @@ def plot(points: list[Point], cost: dict[Point, float], path: Path) -> None:
     axes.set_ylabel("time for 4 s of the paper's run, ms")
     axes.grid(alpha=0.25, which="both")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.14))
+    axes.legend(frameon=False, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     axes.set_title("Work and precision: ten steel elements or eight points", loc="left", fontsize=9)
     figure.savefig(path, dpi=200, metadata={"Date": None} if path.suffix == ".svg" else None)
 
