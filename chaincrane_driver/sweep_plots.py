@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -121,19 +121,13 @@ def _families(
     first, second = design.axes
     x = _positions(first.values)
     figure, axes = _panels(subject, len(metrics))
-    for row, (metric, found) in enumerate(zip(metrics, values, strict=True)):
-        factor, label = _metric_label(metric)
-        for run, title in enumerate(subject.runs):
-            panel = axes[row, run]
-            grid = factor * found[:, run].reshape(len(first.values), -1)
-            for place, value in enumerate(second.values):
-                text = f"{second.name} = {value}"
-                colour = COLOURS[place % len(COLOURS)]
-                panel.plot(x, grid[:, place], ".-", color=colour, label=text)
-            panel.set_ylabel(label)
-            if row == 0 and len(subject.runs) > 1:
-                panel.set_title(title, fontsize=9)
-            _label(panel, "x", first.name, design, subject)
+    for panel, label, grid in _grids(subject, design, axes, metrics, values):
+        for place, value in enumerate(second.values):
+            text = f"{second.name} = {value}"
+            colour = COLOURS[place % len(COLOURS)]
+            panel.plot(x, grid[:, place], ".-", color=colour, label=text)
+        panel.set_ylabel(label)
+        _label(panel, "x", first.name, design, subject)
     axes[0, 0].legend(fontsize=8)
     return figure
 
@@ -146,21 +140,33 @@ def _maps(
 ) -> Figure:
     """A map for each metric and run; white where a run failed."""
     first, second = design.axes
+    x, y = _positions(first.values), _positions(second.values)
     figure, axes = _panels(subject, len(metrics))
+    for panel, label, grid in _grids(subject, design, axes, metrics, values):
+        picture = panel.pcolormesh(x, y, np.ma.masked_invalid(grid.T), shading="nearest")
+        panel.grid(False)
+        figure.colorbar(picture, ax=panel, label=label)
+        _label(panel, "x", first.name, design, subject)
+        _label(panel, "y", second.name, design, subject)
+    return figure
+
+
+def _grids(
+    subject: Subject,
+    design: Design,
+    axes: NDArray[np.object_],
+    metrics: Sequence[Metric],
+    values: Sequence[NDArray[np.float64]],
+) -> Iterator[tuple[Axes, str, NDArray[np.float64]]]:
+    """Panel, label, and values by the first and the second axis, of each metric and run."""
+    count = len(design.axes[0].values)
     for row, (metric, found) in enumerate(zip(metrics, values, strict=True)):
         factor, label = _metric_label(metric)
         for run, title in enumerate(subject.runs):
             panel = axes[row, run]
-            grid = factor * found[:, run].reshape(len(first.values), -1)
-            x, y = _positions(first.values), _positions(second.values)
-            picture = panel.pcolormesh(x, y, np.ma.masked_invalid(grid.T), shading="nearest")
-            panel.grid(False)
-            figure.colorbar(picture, ax=panel, label=label)
             if row == 0 and len(subject.runs) > 1:
                 panel.set_title(title, fontsize=9)
-            _label(panel, "x", first.name, design, subject)
-            _label(panel, "y", second.name, design, subject)
-    return figure
+            yield panel, label, factor * found[:, run].reshape(count, -1)
 
 
 def _panels(subject: Subject, rows: int) -> tuple[Figure, NDArray[np.object_]]:

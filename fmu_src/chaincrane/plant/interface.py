@@ -191,11 +191,12 @@ def settings(
     return crane, initial, numerics
 
 
-# What is said, once, when error.predictable falls to 0.
+# What is said, once, when the tension of an inextensible chain falls below 0.
 NO_SLACK = (
     "the tension has fallen below 0: from here on a real chain would be slack, which"
     " chain.formulation = inextensible cannot be; chain.slack_time counts"
 )
+# What is said, once, when error.predictable falls to 0.
 NOT_PREDICTABLE = (
     "error.payload has exceeded 0.005 of chain.length: the motion is not predictable from here on,"
     " a shorter solver.max_step gives another one"

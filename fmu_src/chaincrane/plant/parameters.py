@@ -130,8 +130,9 @@ class Numerics:
         MASS_MATRICES[0],
         MASS_MATRICES,
         "mass matrix of an element: consistent (the paper's) or averaged with the lumped one, the"
-        " rotation of the whole kept exact: half the error of the mesh or less for the paper's"
-        " payloads and ten elements, little less for a payload that is light beside the chain",
+        " rotation of the whole kept exact: half the payload's error by the mesh or less for the"
+        " paper's payloads and ten elements, little less for a payload that is light beside the"
+        " chain",
     )
     formulation: str = choice(
         "chain.formulation",

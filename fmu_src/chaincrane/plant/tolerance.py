@@ -4,9 +4,9 @@ No step chosen from a local error keeps the error of a swing: what one step adds
 what earlier ones have put into its phase. So the communication steps since the start are
 remembered, and where the companion's estimate comes to half the tolerance the crane goes through
 them all again, with steps half as long. At every communication point it is what it would be had it
-taken its present step from the start; where the step changes, outputs change by about the
-tolerance. The error of a swing grows with time and falls with the square of the step: all runs
-together cost at most about twice the last.
+taken its present step from the start; where the step changes, the payload's place changes by about
+the tolerance, and forces by what their own errors are. All runs together cost at most about twice
+the last.
 """
 
 from __future__ import annotations
