@@ -16,6 +16,8 @@ typedef struct {
     void (*prepare)(Workspace *work, void *memory);
     /* s, what the scheme can take. */
     double (*longest_step)(const Workspace *work);
+    /* s, what resolves the waves after a jump; infinite where any step does. */
+    double (*wave_step)(const Workspace *work);
     double step_energy_tolerance; /* of the energy put in so far, what a step may be off by */
     /* Of the payloads' distance in two solutions, what the time error is told to be. */
     double (*error_share)(int slack);

@@ -295,6 +295,12 @@ static void prepare(Workspace *work, void *memory) {
 
 static double longest_step(const Workspace *work) { return LONGEST_TURN / work->gauss->fastest; }
 
+/* No axial waves. */
+static double wave_step(const Workspace *work) {
+    (void)work;
+    return INFINITY;
+}
+
 static double error_share(int slack) {
     (void)slack; /* changes nothing */
     return FOURTH_ORDER_SHARE;
@@ -629,6 +635,7 @@ static Outcome step(Workspace *work, const Motion *from, const Load *load, doubl
 const Formulation INEXTENSIBLE = {.memory = memory,
                                   .prepare = prepare,
                                   .longest_step = longest_step,
+                                  .wave_step = wave_step,
                                   .step_energy_tolerance = SMOOTH_ENERGY_TOLERANCE,
                                   .error_share = error_share,
                                   .straight = straight,

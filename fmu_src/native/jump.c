@@ -2,12 +2,38 @@
 
 #include "jump.h"
 
-/* T, s, of a crane: JUMP_TIME x^4/(1 + x^4), x = omega_1 JUMP_TIME, omega_1 the payload's bounce. */
+/* Frequency of the payload's bounce on the chain, rad/s. */
+static double bounce(const Settings *p) {
+    return sqrt(p->chain_EA / (p->chain_length * (p->payload_mass + p->chain_mass / 3.0)));
+}
+
+/* x^4, x = omega_1 JUMP_TIME, omega_1 the bounce. */
+static double stiffness_number(const Settings *p) {
+    double x = bounce(p) * JUMP_TIME;
+    return x * x * x * x;
+}
+
+/* T, s, of a crane: JUMP_TIME x^4/(1 + x^4). */
 static double filter_time(const Chain *c) {
-    const Settings *p = &c->settings;
-    double swung = p->chain_length * (p->payload_mass + p->chain_mass / 3.0);
-    double x = sqrt(p->chain_EA / swung) * JUMP_TIME, x4 = x * x * x * x;
+    double x4 = stiffness_number(&c->settings);
     return JUMP_TIME * x4 / (1.0 + x4);
+}
+
+/* Speed of an axial wave, m/s: sqrt(EA L/m). */
+static double wave_speed(const Settings *p) {
+    return sqrt(p->chain_EA * p->chain_length / p->chain_mass);
+}
+
+double wave_step(const Chain *c) {
+    double x4 = stiffness_number(&c->settings);
+    return WAVE_STEP * c->L0 / wave_speed(&c->settings) + JUMP_TIME * x4 * (1.0 + x4);
+}
+
+double wave_time(const Chain *c, double dv) {
+    const Settings *p = &c->settings;
+    double speed = wave_speed(p), pull = fabs(dv) * speed * p->chain_mass / p->chain_length;
+    if (pull < WAVE_SHARE * p->gravity * c->total_mass) return 0.0;
+    return smaller(WAVE_TURN / bounce(p), WAVE_TRAVELS * p->chain_length / speed);
 }
 
 /* M_ff dw = -b dv into work->unknown. */

@@ -8,6 +8,12 @@
 
 HIDDEN
 
+/* Longest step, s, that resolves the waves which a jump leaves: L0/(4 c) + JUMP_TIME x^4 (1 + x^4). */
+double wave_step(const Chain *c);
+
+/* How long, s, the waves of a jump by ``dv`` m/s are followed: 6/omega_1, at most 40 L/c; 0: a small jump. */
+double wave_time(const Chain *c, double dv);
+
 Jump plain_jump;
 Jump filtered_jump;
 

@@ -280,6 +280,7 @@ static void accompany(NonlinearState *companion, const NonlinearState *fine) {
     companion->shared.ledger_trolley = own.shared.ledger_trolley;
     companion->shared.ledger_payload = own.shared.ledger_payload;
     companion->shared.ledger_dissipated = own.shared.ledger_dissipated;
+    companion->waves = fine->waves;
     companion->error_payload = fine->error_payload;
     companion->error_tension_top = fine->error_tension_top;
     companion->error_trolley_fx = fine->error_trolley_fx;
@@ -390,23 +391,38 @@ static void create(void *memory, const Settings *settings) {
         memcpy(crane->companion.head, s->head, solution_count(settings) * sizeof(double));
 }
 
-/* As many internal steps as it takes, with a companion or without. */
-static Outcome run(NonlinearCrane *crane, double h, double v, const Command *command,
-                   Failure *failure) {
-    Workspace *work = &crane->work;
-    const Settings *settings = &work->chain.settings;
-    double longest = formulation_of(settings)->longest_step(work);
-    double count = equal_parts(h, smaller(settings->solver_max_step, longest));
+/* A stretch of a communication step in equal internal steps, none longer than ``longest``, with a
+   companion or without. */
+static Outcome stretch(NonlinearCrane *crane, double begin, double duration, double longest,
+                       double v, const Command *command, Failure *failure) {
+    double count = equal_parts(duration, longest);
     int compares = crane->companion.head != NULL;
     if (compares) count = ceil(0.5 * count);
+    double part = compares ? duration / (2.0 * count) : duration / count;
     for (double i = 0.0; i < count; i += 1.0) {
-        double part = compares ? h / (2.0 * count) : h / count;
-        Outcome outcome = compares ? compared_step(crane, v, command, 2.0 * i * part, part, failure)
-                                   : internal_step(work, &crane->trial, v, command, i * h / count,
-                                                   part, 0, failure);
+        Outcome outcome =
+            compares ? compared_step(crane, v, command, begin + 2.0 * i * part, part, failure)
+                     : internal_step(&crane->work, &crane->trial, v, command,
+                                     begin + i * duration / count, part, 0, failure);
         if (outcome != DONE) return outcome;
     }
     return DONE;
+}
+
+/* All of a communication step: one stretch, or two where the waves of a jump are to be resolved in
+   the first. */
+static Outcome run(NonlinearCrane *crane, double h, double v, const Command *command,
+                   Failure *failure) {
+    const Workspace *work = &crane->work;
+    const Formulation *formulation = formulation_of(&work->chain.settings);
+    double longest = smaller(work->chain.settings.solver_max_step, formulation->longest_step(work));
+    double waves = crane->trial.head->waves, wave_step = formulation->wave_step(work);
+    if (!(waves > 0.0 && wave_step < longest))
+        return stretch(crane, 0.0, h, longest, v, command, failure);
+    double first = waves < h * (1.0 - WHOLE) ? waves : h;
+    Outcome outcome = stretch(crane, 0.0, first, wave_step, v, command, failure);
+    if (outcome != DONE || first == h) return outcome;
+    return stretch(crane, first, h - first, longest, v, command, failure);
 }
 
 static Outcome step(void *memory, double h, const Command *command, Failure *failure) {
@@ -418,6 +434,8 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
     if (!is_allowed(&crane->state.head->shared, settings, h, command)) return BAD_VALUE;
     memcpy(head, crane->state.head, bytes);
     double v = commanded(shared, command);
+    double dv = v - shared->trolley_v, waves = wave_time(&crane->work.chain, dv);
+    if (waves > 0.0) head->waves = waves;
     jump(&crane->work, &crane->trial, command, v);
     if (other) other->shared.trolley_v = crane->state.head->shared.trolley_v;
     if (other) jump(&crane->work, &crane->trial_companion, command, v);
@@ -429,6 +447,7 @@ static Outcome step(void *memory, double h, const Command *command, Failure *fai
         shared->steps += other->shared.steps;
         shared->iterations += other->shared.iterations;
     }
+    head->waves = larger(0.0, head->waves - h);
     shared->time += h;
     move_trolley(shared, h, command);
     if (other) accompany(other, head);

@@ -2,6 +2,8 @@
 
 #include "truss.h"
 
+#include "jump.h"
+
 static size_t memory(const Settings *settings) {
     (void)settings;
     return 0;
@@ -17,6 +19,12 @@ static void prepare(Workspace *work, void *none) {
 static double longest_step(const Workspace *work) {
     (void)work;
     return INFINITY;
+}
+
+/* newmark keeps every axial vibration, whatever the step. */
+static double waves_resolved(const Workspace *work) {
+    int filters = work->chain.settings.solver_scheme == SOLVER_SCHEME_ENERGY_MOMENTUM;
+    return filters ? wave_step(&work->chain) : INFINITY;
 }
 
 static double error_share(int slack) { return slack ? SLACK_SHARE : TAUT_SHARE; }
@@ -79,6 +87,7 @@ static void posture(const Workspace *work, const Motion *motion, Posture *postur
 const Formulation TRUSS = {.memory = memory,
                            .prepare = prepare,
                            .longest_step = longest_step,
+                           .wave_step = waves_resolved,
                            .step_energy_tolerance = STEP_ENERGY_TOLERANCE,
                            .error_share = error_share,
                            .straight = straight,

@@ -13,6 +13,7 @@ class Formulation(Protocol):
     """A chain with its payload, seen from the trolley, and the scheme that steps it."""
 
     longest_step: float  # s, what the scheme can take; inf where any will do
+    wave_step: float  # s, what resolves the waves after a jump; inf where any step does
     never_slack: bool  # a motion with a tension below 0 is not one of a real chain
     step_energy_tolerance: float  # of the energy put in so far, what a step may be off by
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 
@@ -174,6 +174,7 @@ class InextensibleChain:
         inertia, self.fastest = mended_inertia(plain)
         self.chain = GaussChain(plain.crane, plain.places, plain.weights, plain.load, inertia)
         self.longest_step = LONGEST_TURN / self.fastest
+        self.wave_step = inf  # no axial waves
         y = 2.0 * material_fractions() - 1.0
         self._shapes = shapes(plain.places, plain.weights, y)
         self._slopes = top_slopes(plain.places, plain.weights)

@@ -232,6 +232,7 @@ NONLINEAR_STATE = {
     "scale": "J, what errors of energy are measured against",
     "trolley_fx": "N",
     "slack_time": "s, since the start",
+    "waves": "s, for which steps still have to resolve the waves of a jump",
     "error_payload": "m, estimated time error, the largest since the start",
     "error_tension_top": "N, the same",
     "error_trolley_fx": "N, the same",

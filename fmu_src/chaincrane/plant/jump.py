@@ -6,6 +6,10 @@ step of a millisecond resolves: its tension is an artefact of the step then. So 
 what is faster than a time T: each axial vibration of frequency omega is scaled by
 (1 + (omega T)^2)^-8, in the impulse and in the tension. Half is left at omega T = 0.3: at some
 140 Hz for the longest T.
+
+What a jump leaves are waves that run along the chain, and their tension is right only in steps that
+resolve them. So steps are at most wave_step for the first wave_time after it: all others may be as
+long as solver.max_step allows.
 """
 
 from __future__ import annotations
@@ -30,19 +34,60 @@ from .scheme import Jump, Motion
 
 JUMP_TIME = 3.5e-4  # s, T of a chain whose slowest axial vibration is much faster than this
 JUMP_PASSES = 8  # the power of the filter
+WAVE_STEP = 0.25  # of the time that an axial wave takes along an element, a step that resolves it
+WAVE_TURN = 6.0  # rad, of the bounce that waves are followed for: nearly all of one
+WAVE_TRAVELS = 40.0  # of a wave along the chain that are followed at most
+WAVE_SHARE = 0.05  # of the weight; a jump whose wave pulls less is none to be followed
+
+
+def bounce(crane: Crane) -> float:
+    """Frequency of the payload's bounce on the chain, rad/s: sqrt(EA/(L (M + m/3)))."""
+    chain = crane.chain
+    return sqrt(chain.EA / (chain.length * (crane.payload.mass + chain.mass / 3.0)))
+
+
+def stiffness_number(crane: Crane) -> float:
+    """x^4, x = omega_1 JUMP_TIME, omega_1 the bounce, the slowest axial vibration; ours.
+
+    Where that is slow, as in a soft chain, a user sees it and its waves, and all are kept; where
+    even that is fast, none is.
+    """
+    return (bounce(crane) * JUMP_TIME) ** 4
 
 
 def filter_time(crane: Crane) -> float:
-    """T, s, of a crane: JUMP_TIME x^4/(1 + x^4), x = omega_1 JUMP_TIME, ours.
-
-    omega_1 = sqrt(EA/(L (M + m/3))) is the payload's bounce on the chain, its slowest axial
-    vibration. Where that is slow, as in a soft chain, a user sees it and its waves, and all are
-    kept; where even that is fast, none is.
-    """
-    chain = crane.chain
-    bounce = sqrt(chain.EA / (chain.length * (crane.payload.mass + chain.mass / 3.0)))
-    x4 = (bounce * JUMP_TIME) ** 4
+    """T, s, of a crane: JUMP_TIME x^4/(1 + x^4), ours."""
+    x4 = stiffness_number(crane)
     return JUMP_TIME * x4 / (1.0 + x4)
+
+
+def wave_speed(crane: Crane) -> float:
+    """Speed of an axial wave, m/s: sqrt(EA L/m)."""
+    return sqrt(crane.chain.EA * crane.chain.length / crane.chain.mass)
+
+
+def wave_step(chain: DiscreteChain) -> float:
+    """Longest step, s, that resolves the waves which a jump leaves, ours.
+
+    L0/(4 c) + JUMP_TIME x^4 (1 + x^4): a quarter of what a wave takes along an element, and longer
+    the more of the fastest the filter leaves out. Where it leaves out all, any step will do.
+    """
+    x4 = stiffness_number(chain.crane)
+    return WAVE_STEP * chain.L0 / wave_speed(chain.crane) + JUMP_TIME * x4 * (1.0 + x4)
+
+
+def wave_time(crane: Crane, dv: float) -> float:
+    """How long, s, the waves of a jump by ``dv`` m/s are followed: 6/omega_1, at most 40 L/c; ours.
+
+    The largest tension comes within the first half of the bounce. 0 where dv c m/L, the tension of
+    an axial wave that the trolley would send along the chain, is below a twentieth of the weight: a
+    command in many small jumps is an acceleration.
+    """
+    c, chain = wave_speed(crane), crane.chain
+    pull = abs(dv) * c * chain.mass / chain.length
+    if pull < WAVE_SHARE * crane.gravity * crane.total_mass:
+        return 0.0
+    return min(WAVE_TURN / bounce(crane), WAVE_TRAVELS * chain.length / c)
 
 
 def plain_jump(chain: DiscreteChain, motion: Motion, dv: float) -> Jump:

@@ -18,11 +18,11 @@ from .crane import CraneModel, Posture, Solution
 from .formulation import Formulation
 from .inextensible import InextensibleChain
 from .interface import LAST_COMMAND, NO_SLACK, NONLINEAR_STATE, NOT_PREDICTABLE
-from .jump import plain_jump, settled
+from .jump import plain_jump, settled, wave_time
 from .ledger import Effort, Ledger
 from .parameters import Crane, Initial, Numerics
 from .scheme import Jump, Load, Motion
-from .trolley import Trolley, equal_parts
+from .trolley import WHOLE, Trolley, equal_parts
 from .truss import Truss
 
 FORMULATION_CLASSES: dict[str, Callable[[DiscreteChain, Numerics], Formulation]] = {
@@ -68,6 +68,7 @@ class NonlinearCrane(CraneModel):
         motion = self._chain.straight(self.initial.sway_angle)
         energy = self._chain.energy(motion, self.trolley.v)
         self._error = TimeError()
+        self._waves = 0.0  # s, for which steps still have to resolve the waves of a jump
         self._state = NonlinearState(
             motion=motion,
             last=None,
@@ -100,7 +101,25 @@ class NonlinearCrane(CraneModel):
 
     def internal_steps(self, h: float) -> int:
         """Number of equal internal steps for ``h`` seconds; the formulation may want more."""
-        return equal_parts(h, min(self.numerics.max_step, self._chain.longest_step))
+        return equal_parts(h, self._longest)
+
+    @property
+    def _longest(self) -> float:
+        """Longest internal step, s, where no jump has just been."""
+        return min(self.numerics.max_step, self._chain.longest_step)
+
+    def _stretches(self, h: float, waves: float) -> list[tuple[float, float, int]]:
+        """Start, s, duration, s, and internal steps of what ``h`` seconds are divided into.
+
+        One stretch, or two where the waves of a jump, ``waves`` s, are to be resolved in the first.
+        """
+        if not (waves > 0.0 and self._chain.wave_step < self._longest):
+            return [(0.0, h, self.internal_steps(h))]
+        first = waves if waves < h * (1.0 - WHOLE) else h
+        stretches = [(0.0, first, equal_parts(first, self._chain.wave_step))]
+        if first < h:
+            stretches.append((first, h - first, self.internal_steps(h - first)))
+        return stretches
 
     def _jump(
         self, state: NonlinearState, command: Command, before: float, after: float
@@ -155,34 +174,58 @@ class NonlinearCrane(CraneModel):
         return motion
 
     def _advance(self, h: float, start: Trolley, command: Command) -> None:
-        state, impulse = self._jump(self._state, command, self.trolley.v, start.v)
-        companion, error, effort = self._companion, self._error, Effort()
-        count = self.internal_steps(h)
-        if companion is None:
-            for i in range(count):
-                state, effort = self._internal_step(
-                    state, effort, start, command, i * h / count, h / count
-                )
-        else:
-            companion, _ = self._jump(companion, command, self.trolley.v, start.v)
-            pairs = (count + 1) // 2
-            part = h / (2 * pairs)
-            for i in range(pairs):
-                elapsed = 2 * i * part
-                first, effort = self._internal_step(state, effort, start, command, elapsed, part)
-                state, effort = self._internal_step(
-                    first, effort, start, command, elapsed + part, part
-                )
-                try:
-                    companion, effort = self._internal_step(
-                        companion, effort, start, command, elapsed, 2.0 * part
+        before, companion = self.trolley.v, self._companion
+        state, impulse = self._jump(self._state, command, before, start.v)
+        if companion is not None:
+            companion, _ = self._jump(companion, command, before, start.v)
+        waves = wave_time(self.crane, start.v - before) or self._waves
+        error, effort = self._error, Effort()
+        for begin, duration, count in self._stretches(h, waves):
+            if companion is None:
+                for i in range(count):
+                    state, effort = self._internal_step(
+                        state,
+                        effort,
+                        start,
+                        command,
+                        begin + i * duration / count,
+                        duration / count,
                     )
-                    error = self._seen(error, first, state, companion)
-                except (NotConverged, EnergyBalanceBroken):  # it goes on beside the finer one
-                    companion, error = state, error.lost(self.crane.chain.length)
+            else:
+                pairs = (count + 1) // 2
+                part = duration / (2 * pairs)
+                for i in range(pairs):
+                    state, companion, error, effort = self._pair(
+                        (state, companion, error, effort),
+                        start,
+                        command,
+                        begin + 2 * i * part,
+                        part,
+                    )
         self._state, self._companion, self._error = state, companion, error
+        self._waves = max(0.0, waves - h)
         self.effort = effort
         self.impulse = impulse
+
+    def _pair(
+        self,
+        so_far: tuple[NonlinearState, NonlinearState, TimeError, Effort],
+        start: Trolley,
+        command: Command,
+        elapsed: float,
+        h: float,
+    ) -> tuple[NonlinearState, NonlinearState, TimeError, Effort]:
+        """Two internal steps of ``h`` s, one of the companion that is twice as long, compared."""
+        state, companion, error, effort = so_far
+        first, effort = self._internal_step(state, effort, start, command, elapsed, h)
+        state, effort = self._internal_step(first, effort, start, command, elapsed + h, h)
+        try:
+            companion, effort = self._internal_step(
+                companion, effort, start, command, elapsed, 2.0 * h
+            )
+        except (NotConverged, EnergyBalanceBroken):  # it goes on beside the finer one
+            return state, state, error.lost(self.crane.chain.length), effort
+        return state, companion, self._seen(error, first, state, companion), effort
 
     def _seen(
         self,
@@ -301,6 +344,7 @@ class NonlinearCrane(CraneModel):
             "scale": state.scale,
             "trolley_fx": state.trolley_fx,
             "slack_time": state.slack_time,
+            "waves": self._waves,
             **{f"error_{name}": value for name, value in asdict(self._error).items()},
         }
         a = np.full_like(motion.r, np.nan) if motion.a is None else motion.a
@@ -315,6 +359,7 @@ class NonlinearCrane(CraneModel):
         self._companion = companions[0] if companions else None
         numbers = solutions[0].numbers
         self._error = TimeError(*(numbers[f"error_{f.name}"] for f in fields(TimeError)))
+        self._waves = numbers["waves"]
 
     def _loaded(self, solution: Solution) -> NonlinearState:
         n, numbers = self.chain.elements, solution.numbers

@@ -114,7 +114,8 @@ class Numerics:
         "solver.max_step",
         "s",
         1e-3,
-        "longest internal step; a communication step is divided evenly",
+        "longest internal step; a communication step is divided evenly. Shorter ones follow the"
+        " waves that a jump of the trolley sends along a soft chain",
         minimum=ABOVE_ZERO,
         nominal=1e-3,
     )

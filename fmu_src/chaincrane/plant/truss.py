@@ -24,6 +24,7 @@ from .chain import (
 from .command import IDLE
 from .crane import Posture, material_fractions
 from .energy_momentum import EnergyMomentum
+from .jump import wave_step
 from .newmark import Newmark
 from .parameters import Numerics
 from .scheme import Motion, Scheme
@@ -47,6 +48,7 @@ class Truss:
     def __init__(self, chain: DiscreteChain, numerics: Numerics) -> None:
         self.chain = chain
         self.scheme: Scheme = SCHEME_CLASSES[numerics.scheme](chain)
+        self.wave_step = wave_step(chain) if numerics.scheme == "energy_momentum" else inf
         self._interpolation = interpolation(chain.elements, material_fractions())
 
     @staticmethod
