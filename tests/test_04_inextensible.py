@@ -390,16 +390,18 @@ def test_it_takes_a_stiffness_that_the_truss_does_not() -> None:
     NonlinearCrane(Crane(Chain(EA=1e300)), Initial(), numerics())
 
 
-def test_the_estimate_is_near_the_true_error(library: Any) -> None:
-    """Stops and releases of 12 cranes: within a factor of 3 of what a tenth of the step finds. Of
-    120 random cranes all were, from 0.48 to 1.43 of it.
+@pytest.mark.parametrize("step", [2e-3, 1.0])
+def test_the_estimate_is_near_the_true_error(library: Any, step: float) -> None:
+    """Stops and releases of 12 cranes: within a factor of 3 of what 0.2 ms find, with the longest
+    steps too. Of 120 random cranes all were, from 0.48 to 1.43 of it; of 60 with the longest, from
+    0.88 to 1.82.
     """
     ratios = []
     for payload in (0.05, 0.2, 0.42, 1.0, 3.0, 20.0):
         for case in (Initial(0.3), Initial(0.0, 0.3)):
             crane = Crane(payload=Payload(payload))
             coarse = NativeCrane(
-                crane, case, numerics(6, 2e-3, error_estimate="companion"), library=library
+                crane, case, numerics(6, step, error_estimate="companion"), library=library
             )
             fine = NativeCrane(crane, case, numerics(6, 2e-4), library=library)
             a, b = (run(one, 2.0, lambda t: Command(), PLACES[:2]) for one in (coarse, fine))

@@ -415,7 +415,9 @@ static Outcome run(NonlinearCrane *crane, double h, double v, const Command *com
                    Failure *failure) {
     const Workspace *work = &crane->work;
     const Formulation *formulation = formulation_of(&work->chain.settings);
-    double longest = smaller(work->chain.settings.solver_max_step, formulation->longest_step(work));
+    double allowed = formulation->longest_step(work);
+    if (crane->companion.head) allowed *= 0.5; /* the companion's steps are twice as long */
+    double longest = smaller(work->chain.settings.solver_max_step, allowed);
     double waves = crane->trial.head->waves, wave_step = formulation->wave_step(work);
     if (!(waves > 0.0 && wave_step < longest))
         return stretch(crane, 0.0, h, longest, v, command, failure);

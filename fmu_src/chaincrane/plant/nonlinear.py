@@ -105,8 +105,9 @@ class NonlinearCrane(CraneModel):
 
     @property
     def _longest(self) -> float:
-        """Longest internal step, s, where no jump has just been."""
-        return min(self.numerics.max_step, self._chain.longest_step)
+        """Longest internal step, s, where no jump has just been; the companion's is twice it."""
+        allowed = self._chain.longest_step
+        return min(self.numerics.max_step, 0.5 * allowed if self.numerics.compares else allowed)
 
     def _stretches(self, h: float, waves: float) -> list[tuple[float, float, int]]:
         """Start, s, duration, s, and internal steps of what ``h`` seconds are divided into.
