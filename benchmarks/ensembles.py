@@ -12,7 +12,6 @@ many processes at once as there are workers.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import resource
 import sys
 import tempfile
@@ -40,19 +39,19 @@ BARE_RUNS = 100
 
 
 def bare(library: str) -> float:
-    """Least processor time of a run of the kernel's steps alone, s, of many."""
-    from chaincrane.plant import kernel
-
+    """Processor time of a run of the kernel's steps alone, s, the mean of many."""
     loaded = load_library(library)
-    moving, stopped = kernel._Command(trolley_v_cmd=SPEED), kernel._Command()
-    addresses = ctypes.addressof(moving), ctypes.addressof(stopped)
     times = []
     for _ in range(BARE_RUNS):
         crane = NativeCrane(library=loaded)
-        step, memory, failure = crane._c_step, crane._address, crane._failure_address
+        step, exchange, command = crane._c_step, crane._exchange_address, crane._command
         begun = process_time()
-        for number in range(STEPS):
-            step(memory, STEP, addresses[number >= STOP_AT], failure)
+        command.trolley_v_cmd = SPEED
+        for _ in range(STOP_AT):
+            step(exchange, STEP)
+        command.trolley_v_cmd = 0.0
+        for _ in range(STEPS - STOP_AT):
+            step(exchange, STEP)
         times.append(process_time() - begun)
     return sum(times) / len(times)
 

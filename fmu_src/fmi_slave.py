@@ -24,6 +24,7 @@ from chaincrane import clock
 from chaincrane.build_info import SOURCES
 from chaincrane.errors import BadState, BadValue, CraneError
 from chaincrane.variables import FINITE, Variable
+from chaincrane.whole_step import check_finite
 
 STATE_MAGIC = b"chaincrane state 1\n"
 
@@ -44,12 +45,15 @@ def mend_import(namespace: dict[str, Any]) -> None:
 
 
 class Model(Protocol):
-    """What a slave runs. It replaces what it holds, and edits none of it in place."""
+    """What a slave runs."""
 
     start_time: float  # s, the host's; only for messages
 
-    def step(self, h: float, told: Any) -> None:
-        """Advance by ``h`` s under the slave's ``inputs``; raises CraneError, state unchanged."""
+    def advance(self, h: float, told: Any) -> list[Any]:
+        """Advance by ``h`` s under the slave's ``inputs``; the outputs then, all finite.
+
+        Raises CraneError, the model as it was, where that cannot be had.
+        """
 
     def notice(self) -> str | None:
         """What a user should be told of the model's state, once; None: nothing."""
@@ -147,7 +151,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             self._build()
         else:
             self._model.start_time = self._start
-        self._say_notice("at initialisation")
+        self._say_notice()
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance the model; False, the state unchanged, where that cannot be done."""
@@ -178,50 +182,38 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             raise CraneError(refusal)
         if self._phase != "stepping" or self._model is None:
             raise CraneError(f"a step needs an initialised instance; this one is {self._phase}")
-        if not clock.is_now(current_time, self._time, step_size):
+        if current_time != self._time and not clock.is_now(current_time, self._time, step_size):
             allowed = f"the time reached, {self._time!r} s"
             raise BadValue("current communication point", current_time, allowed)
         end = current_time + step_size
-        if clock.is_beyond(end, self._stop, step_size):
+        if end > self._stop and clock.is_beyond(end, self._stop, step_size):
             raise BadValue("end of the step", end, f"at most the stop time, {self._stop!r} s")
         if self._command is None:
             values = self._values
             self._command = self.inputs(**{symbol: values[place] for place, symbol in self._told})
-        self._advance(self._model, self._meant(current_time, step_size), self._command)
+        meant = step_size  # without the round-off of the host's times
+        if self._step_unit is not None:
+            unit: Any = self._values[self._step_unit]
+            meant = clock.meant_step(current_time, step_size, unit)
+        self._values[self._first_output :] = self._model.advance(meant, self._command)
+        self._observed = True
         self._time = end
-        self._say_notice(f"at t = {self._time:.6g} s")
-
-    def _meant(self, current_time: float, step_size: float) -> float:
-        """The step size without the round-off of the host's times."""
-        if self._step_unit is None:
-            return step_size
-        unit: Any = self._values[self._step_unit]
-        return clock.meant_step(current_time, step_size, unit)
-
-    def _advance(self, model: Model, step_size: float, told: Any) -> None:
-        """A step that ends in finite outputs; else BadValue, and the model as it was."""
-        kept = vars(model).copy()
-        try:
-            model.step(step_size, told)
-            self._look(model, "inputs and a step that keep it finite")
-        except Exception:
-            vars(model).update(kept)
-            raise
+        self._say_notice()
 
     def _look(self, model: Model, allowed: str) -> None:
         """Read the model's outputs; BadValue where one is not a finite number."""
         seen = model.output_values()
-        if not (isfinite(sum(seen)) or all(map(isfinite, seen))):  # a sum is quick, and overflows
-            place = next(i for i, value in enumerate(seen) if not isfinite(value))
-            name = self.variables[self._first_output + place].name
-            raise BadValue(name, seen[place], allowed)
+        names = [variable.name for variable in self.variables[self._first_output :]]
+        check_finite(dict(zip(names, seen, strict=True)), allowed)
         self._values[self._first_output :] = seen
         self._observed = True
 
-    def _say_notice(self, when: str) -> None:
+    def _say_notice(self) -> None:
         """Log what a user should be told of the model, once."""
         notice = None if self._model is None else self._model.notice()
         if notice is not None and not self._noticed:
+            started = self._time > self._start
+            when = f"at t = {self._time:.6g} s" if started else "at initialisation"
             self.log(f"{when}: {notice}", Fmi2Status.warning, "logStatusWarning")
             self._noticed = True
 

@@ -21,6 +21,7 @@ from chaincrane.plant.kernel import NativeCrane
 from chaincrane.plant.tolerance import MAX_REFINEMENTS, TolerantCrane, nonlinear_crane
 
 SAMPLE = 0.01  # s
+COARSE = {"solver.max_step": 5e-3}
 
 
 def crane(library: Any, values: dict[str, Any]) -> Any:
@@ -213,3 +214,38 @@ def test_an_experiment_without_a_tolerance_is_refused() -> None:
     _, _, numerics = settings({"solver.tolerance_from": "experiment", "chain.length": 2.0}, 1e-4)
     assert numerics.tolerance == 2e-4
     assert settings({"solver.tolerance": 1e-3}, 1e-4)[2].tolerance == 1e-3
+
+
+def test_a_step_that_refined_is_undone() -> None:
+    """To the bit, and what follows too: the crane before the step lies under the one after it."""
+    crane, twin = (
+        nonlinear_crane(*settings({"chain.elements": 3, "solver.tolerance": 2e-5, **COARSE}))
+        for _ in range(2)
+    )
+    assert isinstance(crane, TolerantCrane)
+    command = Command(trolley_a_cmd=0.8)
+    while True:
+        kept, state, level = crane.keep(), crane.save(), crane._level
+        crane.step(SAMPLE, command)
+        if crane._level > level:
+            break
+        twin.step(SAMPLE, command)
+    after = crane.save()
+    crane.undo(kept)
+    assert crane.save() == state == twin.save()
+    crane.step(SAMPLE, command)
+    assert crane.save() == after
+
+
+def test_a_step_refused_when_refined_leaves_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Outputs that are not finite, put in by hand, after the step that changed the crane."""
+    crane = nonlinear_crane(*settings({"chain.elements": 3, "solver.tolerance": 2e-5, **COARSE}))
+    command = Command(trolley_a_cmd=0.8)
+    for _ in range(5):
+        crane.advance(SAMPLE, command)
+    state = crane.save()
+    with monkeypatch.context() as patch:
+        patch.setattr(TolerantCrane, "outputs", lambda _: {"payload.x": float("inf")})
+        with pytest.raises(BadValue, match=r"payload\.x = inf is not allowed: inputs"):
+            crane.advance(SAMPLE, command)
+    assert crane.save() == state

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from chaincrane.errors import CraneError
+from chaincrane.errors import BadValue, CraneError
 from chaincrane.plant.command import Command
 from chaincrane.plant.interface import OUTPUTS
 from chaincrane.plant.interface import settings as crane_settings
@@ -163,3 +163,24 @@ def test_linear_twins(linear_library: Any, values: dict[str, Any], steps: Any) -
         numpy.step(h, command)
         native.step(h, command)
         compare(numpy, native, values, 1e-10)
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_a_step_without_a_finite_end_is_undone(linear_library: Any) -> None:
+    """In C as in Python, in the same words, and what follows has the same bits as without it."""
+    cranes: list[Any] = [LinearCrane(), NativeCrane(library=linear_library)]
+    twins: list[Any] = [LinearCrane(), NativeCrane(library=linear_library)]
+    said = []
+    for crane, twin in zip(cranes, twins, strict=True):
+        for one in (crane, twin):
+            one.step(0.01, Command(trolley_v_cmd=0.3))
+        state, seen = crane.save(), crane.output_values()
+        with pytest.raises(BadValue) as refused:
+            crane.advance(0.01, Command(payload_fx=1e300))
+        said.append(str(refused.value))
+        assert crane.save() == state
+        assert crane.output_values() == seen
+        after = [one.advance(0.01, Command(trolley_v_cmd=-0.1)) for one in (crane, twin)]
+        assert after[0] == after[1]
+    assert said[0] == said[1]
+    assert said[0].endswith("is not allowed: inputs and a step that keep it finite")

@@ -67,6 +67,12 @@ void shared_outputs(const SharedState *state, const Posture *posture, double ene
     o->solver_iterations = state->iterations;
 }
 
+int are_finite(const Outputs *outputs) {
+    int strange = 0; /* no early end: a loop for vectors */
+    for (int i = 0; i < OUTPUTS; i++) strange |= !is_finite(((const double *)outputs)[i]);
+    return !strange;
+}
+
 size_t save_plain(const double *own, size_t count, double *state) {
     if (state) memcpy(state, own, count * sizeof(double));
     return count;

@@ -77,6 +77,9 @@ typedef struct {
 void shared_outputs(const SharedState *state, const Posture *posture, double energy,
                     Outputs *outputs);
 
+/* Whether all outputs are finite numbers. */
+int are_finite(const Outputs *outputs);
+
 SHOWN
 
 #endif

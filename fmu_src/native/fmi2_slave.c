@@ -75,12 +75,6 @@ static fmi2Status refuse(const Instance *c, const char *message) {
 
 /* ---- the model ---- */
 
-static int are_finite(const Outputs *outputs) {
-    int strange = 0; /* no early end: a loop for vectors */
-    for (int i = 0; i < OUTPUTS; i++) strange |= !is_finite(((const double *)outputs)[i]);
-    return !strange;
-}
-
 /* The first output that is not a finite number, in words; 0: all are. */
 static int bad_output(const Outputs *outputs, const char *allowed, char message[MESSAGE_SIZE]) {
     if (are_finite(outputs)) return 0;

@@ -8,12 +8,22 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
+/* What the two hand each other at a step. */
+typedef struct {
+    void *memory;
+    double *kept;       /* room for as many doubles as crane_keep counts */
+    Command command;    /* of the next step */
+    Outputs outputs;    /* now; of a step that was NOT_FINITE, then */
+    const char *notice; /* what a user should be told of the motion now, or NULL */
+    Failure failure;    /* of a step that failed */
+} Exchange;
+
 EXPORT const char *crane_layout(void);
 EXPORT size_t crane_memory(const Settings *settings);
 EXPORT void crane_create(void *memory, const Settings *settings);
-EXPORT int crane_step(void *memory, double h, const Command *command, Failure *failure);
-EXPORT void crane_outputs(const void *memory, Outputs *outputs);
-EXPORT const char *crane_notice(const void *memory);
+EXPORT size_t crane_keep(const void *memory, double *kept);
+EXPORT void crane_look(Exchange *exchange);
+EXPORT int crane_step(Exchange *exchange, double h);
 EXPORT SharedState *crane_shared(void *memory);
 EXPORT size_t crane_save(const void *memory, double *state);
 EXPORT int crane_load(void *memory, const double *state, size_t count);
@@ -25,13 +35,26 @@ size_t crane_memory(const Settings *settings) { return CRANE.memory(settings); }
 
 void crane_create(void *memory, const Settings *settings) { CRANE.create(memory, settings); }
 
-int crane_step(void *memory, double h, const Command *command, Failure *failure) {
-    return CRANE.step(memory, h, command, failure);
+/* CRANE's; ``kept`` NULL: only count. */
+size_t crane_keep(const void *memory, double *kept) { return CRANE.keep(memory, kept); }
+
+/* Read what is to be seen now. */
+void crane_look(Exchange *exchange) {
+    CRANE.outputs(exchange->memory, &exchange->outputs);
+    exchange->notice = CRANE.notice(exchange->memory);
 }
 
-void crane_outputs(const void *memory, Outputs *outputs) { CRANE.outputs(memory, outputs); }
-
-const char *crane_notice(const void *memory) { return CRANE.notice(memory); }
+/* Advance by h seconds to finite outputs: DONE, or else the state is as it was. */
+int crane_step(Exchange *exchange, double h) {
+    Exchange *e = exchange;
+    size_t count = CRANE.keep(e->memory, e->kept);
+    Outcome outcome = CRANE.step(e->memory, h, &e->command, &e->failure);
+    if (outcome != DONE) return outcome;
+    crane_look(e);
+    if (are_finite(&e->outputs)) return DONE;
+    CRANE.undo(e->memory, e->kept, count);
+    return NOT_FINITE;
+}
 
 SharedState *crane_shared(void *memory) { return CRANE.shared(memory); }
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
 from ..plant.chain import discretise
 from ..plant.parameters import Crane, Initial, Numerics, check
 from ..variables import Variable, choice, parameter, row_of, rows, whole
+from ..whole_step import WholeSteps
 from .modes import MESH, StringModes
 
 MODELS = ("modes", "chain", "pendulum")
@@ -18,18 +18,10 @@ MAX_MODES = 10
 SHOWN_MODES = 2
 
 
-class ControlPart(ABC):
+class ControlPart(WholeSteps):
     """What observer and controller have alike: they are run step by step, like a crane."""
 
     start_time = 0.0  # s, the host's
-
-    @abstractmethod
-    def outputs(self) -> dict[str, float]:
-        """All outputs by their FMU names, in SI units, in the interface's order."""
-
-    def output_values(self) -> list[float]:
-        """All outputs in the interface's order, in SI units."""
-        return list(self.outputs().values())
 
     def notice(self) -> str | None:
         """Nothing: what a part does is told by its outputs."""

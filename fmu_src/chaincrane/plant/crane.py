@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Collection
 from dataclasses import asdict, dataclass, fields, replace
 from math import atan2
@@ -10,6 +10,7 @@ from math import atan2
 import numpy as np
 
 from ..errors import BadState
+from ..whole_step import WholeSteps
 from .chain import Array, DiscreteChain, discretise
 from .command import IDLE, Command
 from .interface import MATERIAL_POINTS, OUTPUTS, SHARED_STATE
@@ -42,7 +43,7 @@ class Solution:
     ledger: Ledger
 
 
-class CraneModel(ABC):
+class CraneModel(WholeSteps):
     """A crane that is driven by commands that are held over each communication step."""
 
     def __init__(
@@ -170,10 +171,6 @@ class CraneModel(ABC):
     def notice(self) -> str | None:
         """What a user should be told of the motion, once; None: nothing."""
         return None
-
-    def output_values(self) -> list[float]:
-        """All outputs in the interface's order, in SI units."""
-        return list(self.outputs().values())
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""

@@ -18,6 +18,7 @@ from typing import Any
 
 from ..errors import BadState, CraneError, EnergyBalanceBroken, NotConverged
 from ..variables import values_of
+from ..whole_step import FINITE_STEP, check_finite
 from .command import IDLE, Command
 from .interface import (
     INPUTS,
@@ -57,6 +58,7 @@ class Outcome(IntEnum):
     STEP_ENERGY = 3  # a step is off its energy balance
     TOTAL_ENERGY = 4  # the balance since the start is off
     BAD_VALUE = 5  # a command or the step size is not allowed
+    NOT_FINITE = 6  # an output is not a finite number
 
 
 class KernelMissing(CraneError):
@@ -74,6 +76,19 @@ _Command = _structure("Command", (row.symbol for row in INPUTS))
 _Failure = _structure("Failure", FAILURE)
 _COMMAND_FIELDS = tuple(field.name for field in fields(Command))
 _OUTPUT_NAMES = tuple(row.name for row in OUTPUTS)
+
+
+class _Exchange(ctypes.Structure):
+    """What the two hand each other at a step; kernel.c says what each is."""
+
+    _fields_ = (
+        ("memory", ctypes.c_void_p),
+        ("kept", ctypes.c_void_p),
+        ("command", _Command),
+        ("outputs", ctypes.c_double * len(OUTPUTS)),
+        ("notice", ctypes.c_char_p),
+        ("failure", _Failure),
+    )
 
 
 def layout() -> str:
@@ -108,12 +123,12 @@ def load_library(path: str | None = None) -> Any:
     library.crane_memory.argtypes = [pointer]
     library.crane_create.restype = None
     library.crane_create.argtypes = [pointer, pointer]
+    library.crane_keep.restype = ctypes.c_size_t
+    library.crane_keep.argtypes = [pointer, pointer]
+    library.crane_look.restype = None
+    library.crane_look.argtypes = [pointer]
     library.crane_step.restype = ctypes.c_int
-    library.crane_step.argtypes = [pointer, number, pointer, pointer]
-    library.crane_outputs.restype = None
-    library.crane_outputs.argtypes = [pointer, pointer]
-    library.crane_notice.restype = ctypes.c_char_p
-    library.crane_notice.argtypes = [pointer]
+    library.crane_step.argtypes = [pointer, number]
     library.crane_shared.restype = ctypes.POINTER(number)
     library.crane_shared.argtypes = [pointer]
     library.crane_save.restype = ctypes.c_size_t
@@ -143,14 +158,17 @@ class NativeCrane:
         self._address = ctypes.addressof(self._memory)
         c.crane_create(self._address, settings)
         self._shared_state = c.crane_shared(self._address)
-        self._command, self._failure = _Command(), _Failure()
+        self._kept = (ctypes.c_double * c.crane_keep(self._address, None))()
+        self._exchange: Any = _Exchange(self._address, ctypes.addressof(self._kept))
+        self._exchange_address = ctypes.addressof(self._exchange)
+        self._command = self._exchange.command
         self._held: Command | None = None  # what self._command was filled from
-        self._command_address = ctypes.addressof(self._command)
-        self._failure_address = ctypes.addressof(self._failure)
-        self._outputs = (ctypes.c_double * len(OUTPUTS))()
+        # A view of the outputs: to make a list of a ctypes array takes ten times as long.
+        self._seen: Any = memoryview(self._exchange.outputs).cast("B").cast("d")
         self.start_time = 0.0  # s, the host's; only for messages
-        self._c_step, self._c_outputs = c.crane_step, c.crane_outputs
-        self._c_notice, self._c_save, self._c_load = c.crane_notice, c.crane_save, c.crane_load
+        self._c_step, self._c_look = c.crane_step, c.crane_look
+        self._c_save, self._c_load = c.crane_save, c.crane_load
+        self._c_look(self._exchange_address)
 
     def _settings(self) -> ctypes.Structure:
         """The parameters as C takes them, by name; of a String the place of its choice."""
@@ -168,17 +186,27 @@ class NativeCrane:
                 for name in _COMMAND_FIELDS:
                     setattr(self._command, name, getattr(command, name))
                 self._held = command
-            outcome = self._c_step(self._address, h, self._command_address, self._failure_address)
+            outcome = self._c_step(self._exchange_address, h)
         except (ctypes.ArgumentError, TypeError):
             self._held = None
             outcome = Outcome.BAD_VALUE
-        if outcome != Outcome.DONE:
+        if outcome:
             self._raise(outcome, h, command)
+
+    def advance(self, h: float, command: Command = IDLE) -> list[float]:
+        """As :meth:`step`; the outputs then, all finite."""
+        self.step(h, command)
+        values: list[float] = self._seen.tolist()
+        return values
 
     def _raise(self, outcome: int, h: float, command: Command) -> None:
         if outcome == Outcome.BAD_VALUE:
             checked_move(self.trolley, self.numerics.max_step, h, command)
-        failure: Any = self._failure
+        if outcome == Outcome.NOT_FINITE:
+            refused = self.outputs()
+            self._c_look(self._exchange_address)
+            check_finite(refused, FINITE_STEP)
+        failure = self._exchange.failure
         h, energy = failure.h, (failure.defect, failure.scale, failure.allowed)
         error: CraneError
         if outcome == Outcome.STEP_ENERGY:
@@ -224,13 +252,13 @@ class NativeCrane:
 
     def notice(self) -> str | None:
         """What a user should be told of the motion, once; None: nothing."""
-        text: bytes | None = self._c_notice(self._address)
+        text: bytes | None = self._exchange.notice
         return None if text is None else text.decode()
 
     def output_values(self) -> list[float]:
         """All outputs in the interface's order, in SI units."""
-        self._c_outputs(self._address, self._outputs)
-        return list(self._outputs)
+        values: list[float] = self._seen.tolist()
+        return values
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
@@ -251,3 +279,4 @@ class NativeCrane:
         numbers = (ctypes.c_double * count).from_buffer_copy(state)
         if len(state) % 8 or not self._c_load(self._address, numbers, count):
             raise BadState.of_other_settings()
+        self._c_look(self._exchange_address)

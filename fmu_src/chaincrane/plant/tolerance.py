@@ -13,10 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import astuple, fields, replace
+from typing import Any
 
 import numpy as np
 
 from ..errors import BadState, EnergyBalanceBroken, NotConverged
+from ..whole_step import WholeSteps
 from .command import IDLE, Command
 from .crane import CraneModel
 from .interface import PAST_STEP, TOLERANCE_NOT_KEPT, TOLERANCE_STATE
@@ -32,7 +34,7 @@ ESTIMATED_SHARE = 0.5
 _COMMAND_FIELDS = tuple(field.name for field in fields(Command))
 
 
-class TolerantCrane:
+class TolerantCrane(WholeSteps):
     """A crane whose estimated time error stays within solver.tolerance, as long as it can."""
 
     def __init__(
@@ -97,9 +99,15 @@ class TolerantCrane:
         """What a user should be told of the motion, once; None: nothing."""
         return TOLERANCE_NOT_KEPT if self._exceeds(1.0) else self.crane.notice()
 
-    def output_values(self) -> list[float]:
-        """All outputs in the interface's order, in SI units."""
-        return self.crane.output_values()
+    def keep(self) -> Any:
+        """What :meth:`undo` needs; the crane goes on under the same name until it is refined."""
+        return vars(self).copy(), self.crane.keep()
+
+    def undo(self, kept: Any) -> None:
+        """Be as when ``kept`` was kept."""
+        own, cranes = kept
+        vars(self).update(own)
+        self.crane.undo(cranes)
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
