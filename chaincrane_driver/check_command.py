@@ -10,8 +10,9 @@ from pathlib import Path
 from . import checking, compare, crosscheck, scenario
 from .errors import UserError, instead
 from .instances import describe
-from .processes import simulate_all
+from .processes import Failure, simulate_all, simulate_each
 from .scenario import Run, Scenario
+from .simulate import Job
 from .stale import say_if_stale
 from .tables import Table, read_table, write_table
 
@@ -19,7 +20,7 @@ FMI_PLATFORM = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
 
 
 def command_check(options: argparse.Namespace) -> int:
-    """Compare every run with its frozen reference; 1 where an output changed.
+    """Compare every run with its frozen reference; 1 where one differs or cannot be compared.
 
     A line for each run names its worst signal. --junit and --json write what CI servers read;
     --results checks CSV files that chaincrane run, or any other tool, has written. Comparisons
@@ -30,7 +31,7 @@ def command_check(options: argparse.Namespace) -> int:
         return _update(options, _runs_to_check(options))
     try:
         verdicts = _crosschecked(options) if options.crosscheck else _checked(options)
-    except UserError as error:  # nothing could be compared: CI is to see why, too
+    except UserError as error:  # no run is known yet: CI is to see why, too
         if options.junit is not None:
             nothing = checking.Verdict("check", "all runs", "chaincrane", trouble=str(error))
             checking.write_junit(options.junit, [nothing])
@@ -66,17 +67,18 @@ def _runs_to_check(options: argparse.Namespace) -> list[tuple[Scenario, Run]]:
     return runs
 
 
-def _simulated(options: argparse.Namespace, runs: list[tuple[Scenario, Run]]) -> list[Table]:
+def _jobs(options: argparse.Namespace, runs: list[tuple[Scenario, Run]]) -> list[Job]:
     jobs = [one.job(run, options.fmu or options.fmus / run.fmu) for one, run in runs]
     if say_if_stale(job.fmu for job in jobs) and not options.accept_stale:
         raise UserError("nothing was checked: an FMU is stale (--accept-stale checks it as it is)")
-    return simulate_all(jobs, "check")
+    return jobs
 
 
 def _update(options: argparse.Namespace, runs: list[tuple[Scenario, Run]]) -> int:
     if options.results is not None:
         raise UserError("--update makes references of FMUs, not of --results")
-    for (one, run), result in zip(runs, _simulated(options, runs), strict=True):
+    results = simulate_all(_jobs(options, runs), "check")
+    for (one, run), result in zip(runs, results, strict=True):
         write_table(one.reference(run), compare.reference_rows(one, result), digits=12)
         print(f"written: {one.reference(run)}")
     return 0
@@ -85,24 +87,43 @@ def _update(options: argparse.Namespace, runs: list[tuple[Scenario, Run]]) -> in
 def _checked(options: argparse.Namespace) -> list[checking.Verdict]:
     runs = _runs_to_check(options)
     if options.results is None:
-        results: list[Table | None] = [*_simulated(options, runs)]
-        names = [str(options.fmu or options.fmus / run.fmu) for _, run in runs]
+        jobs = _jobs(options, runs)
+        results = simulate_each(jobs, "check")
+        names = [job.name for job in jobs]
     else:
         paths = [options.results / one.name / f"{run.name}.csv" for one, run in runs]
-        results = [read_table(path) if path.exists() else None for path in paths]
+        results = [_read(path) for path in paths]
         names = [str(path) for path in paths]
     verdicts = []
     for (one, run), result, name in zip(runs, results, names, strict=True):
         verdict = checking.Verdict(one.name, run.label, name)
-        if result is None:
-            verdict = replace(verdict, trouble=f"{name}: no such file")
-        elif not one.reference(run).exists():
-            verdict = replace(verdict, trouble="has no reference; make one with --update")
-        else:
-            found = compare.deviations(one, run, result, read_table(one.reference(run)))
+        try:
+            found = compare.deviations(one, run, _there(result), _reference(one, run))
             verdict = replace(verdict, deviations=found, units=_units(options, run))
+        except UserError as error:
+            verdict = replace(verdict, trouble=str(error))
         verdicts.append(verdict)
     return verdicts
+
+
+def _read(path: Path) -> Table | Failure:
+    try:
+        return read_table(path)
+    except UserError as error:
+        return Failure(error)
+
+
+def _there(result: Table | Failure) -> Table:
+    """A run's result. Raises UserError where it failed."""
+    if isinstance(result, Failure):
+        raise UserError(result)
+    return result
+
+
+def _reference(one: Scenario, run: Run) -> Table:
+    if not one.reference(run).exists():
+        raise UserError("has no reference; make one with --update")
+    return read_table(one.reference(run))
 
 
 def _units(options: argparse.Namespace, run: Run) -> dict[str, str | None]:
@@ -121,11 +142,16 @@ def _crosschecked(options: argparse.Namespace) -> list[checking.Verdict]:
     folders = [one for one in folders if one == top or here in one.parts or len(folders) == 1]
     if not folders:
         raise UserError(f"{top}: no *_ref.opt for {here} here")
-    results = simulate_all([crosscheck.job_of(folder) for folder in folders], "check")
-    return [
-        checking.Verdict("cross-check", one.name, str(one), crosscheck.deviations(one, result))
-        for one, result in zip(folders, results, strict=True)
-    ]
+    results = simulate_each([crosscheck.job_of(folder) for folder in folders], "check")
+    verdicts = []
+    for folder, result in zip(folders, results, strict=True):
+        verdict = checking.Verdict("cross-check", folder.name, str(folder))
+        try:
+            verdict = replace(verdict, deviations=crosscheck.deviations(folder, _there(result)))
+        except UserError as error:
+            verdict = replace(verdict, trouble=str(error))
+        verdicts.append(verdict)
+    return verdicts
 
 
 def command_export(options: argparse.Namespace) -> int:
@@ -133,17 +159,25 @@ def command_export(options: argparse.Namespace) -> int:
 
     That form has no start values, so only runs that start with the FMU's own are written.
     """
-    runs = [(one, run) for one in map(scenario.load, options.scenario) for run in one.runs]
+    scenarios = [scenario.load(folder) for folder in options.scenario]
+    runs = [(one, run) for one in scenarios for run in one.named(options.run)]
     written = []
     for one, run in runs:
         fmu = options.fmus / run.fmu
-        if options.run is None and crosscheck.default_starts(one, run, fmu):
+        if not options.run and crosscheck.default_starts(one, run, fmu):
             print(f"left out: {one.name}, {run.name}: it has start values of its own")
-        elif options.run in (None, run.name):
+        else:
             written += crosscheck.export(one, run, fmu, options.out)
     for folder in written:
         print(f"written: {folder}")
     return 0 if written else 1
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """The option that chooses among a scenario's runs."""
+    parser.add_argument(
+        "--run", action="append", default=[], metavar="NAME", help="a run of the scenario (all)"
+    )
 
 
 def add_check_options(check: argparse.ArgumentParser) -> None:
@@ -176,5 +210,5 @@ def add_export_options(exporting: argparse.ArgumentParser) -> None:
     exporting.add_argument(
         "scenario", type=Path, nargs="+", help="a scenario's folder, or the name of one of ours"
     )
-    exporting.add_argument("--run", metavar="NAME", help="one run of the scenario (all)")
+    add_run(exporting)
     exporting.add_argument("--out", type=Path, default=Path("crosscheck"), help="(crosscheck)")

@@ -30,6 +30,7 @@ from .antisway import HEAVY, PUSH, TARGET, Setup, measure, metrics_table, parse_
 from .check_command import (
     add_check_options,
     add_export_options,
+    add_run,
     command_check,
     command_export,
 )
@@ -88,10 +89,7 @@ def command_converge(options: argparse.Namespace) -> int:
     Where the differences do not shrink, or are large, the signal is not predictable: so it says.
     """
     one = scenario.load(options.scenario)
-    runs = [run for run in one.runs if options.run in (None, run.name)]
-    if not runs:
-        known = ", ".join(run.name for run in one.runs)
-        raise UserError(f"{one.folder}: there is no run {options.run!r}; runs are {known}")
+    runs = one.named(options.run)
     say_if_stale(options.fmus / run.fmu for run in runs)
     findings = converge.study(one, runs, options.fmus, options.signals)
     path = options.out / one.name / "convergence.csv"
@@ -116,10 +114,7 @@ def command_report(options: argparse.Namespace) -> int:
     """
     for folder in options.scenario:
         one = scenario.load(folder)
-        if options.run is not None:
-            one = replace(one, runs=tuple(run for run in one.runs if run.name == options.run))
-            if not one.runs:
-                raise UserError(f"{folder}: there is no run {options.run!r}")
+        one = replace(one, runs=one.named(options.run))
         results, units = run_all(one, options.fmus), checked_units(one, options.fmus)
         told = report.of_scenario(one, results, units, options.fmus)
         path = told.write(options.out / f"{one.name}.html")
@@ -293,7 +288,7 @@ def parser() -> argparse.ArgumentParser:
         "converge", command_converge, "chaincrane converge scenarios/paper_heavy --run nonlinear"
     )
     converging.add_argument("scenario", type=Path, help="the scenario's folder")
-    converging.add_argument("--run", metavar="NAME", help="one run of the scenario (all)")
+    add_run(converging)
     converging.add_argument(
         "--signals",
         type=lambda text: tuple(filter(None, text.split(","))),
@@ -314,7 +309,7 @@ def parser() -> argparse.ArgumentParser:
     reporting.add_argument(
         "scenario", type=Path, nargs="+", help="a scenario's folder, or the name of one of ours"
     )
-    reporting.add_argument("--run", metavar="NAME", help="one run of the scenario (all)")
+    add_run(reporting)
     reporting.add_argument("--out", type=Path, default=Path("results"), help="folder (results)")
 
     figures = command("figures", command_figures, "chaincrane figures --out figures")

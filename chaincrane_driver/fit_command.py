@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 
 from . import fit, scenario
-from .errors import UserError, instead
 from .instances import describe
 from .stale import say_if_stale
 
@@ -19,11 +18,7 @@ def command_fit(options: argparse.Namespace) -> int:
     of two; without START it is the scenario's.
     """
     one = scenario.load(options.scenario)
-    names = [run.name for run in one.runs]
-    name = options.run or names[0]
-    if name not in names:
-        raise UserError(f"{one.folder}: there is no run {name!r}{instead(name, names)}")
-    run = one.runs[names.index(name)]
+    run, *_ = one.named([options.run] if options.run else [])
     job = one.job(run, options.fmu or options.fmus / run.fmu)
     say_if_stale([job.fmu])
     measured = fit.read_measured(options.measured)

@@ -260,7 +260,15 @@ def simulate_all(jobs: Sequence[Timed], label: str) -> list[Table]:
 
     Raises UserError for the first job that fails.
     """
-    results: dict[int, Table] = {}
+    results = simulate_each(jobs, label, give_up=True)
+    return [result for result in results if not isinstance(result, Failure)]
+
+
+def simulate_each(
+    jobs: Sequence[Timed], label: str, give_up: bool = False
+) -> list[Table | Failure]:
+    """The same, with a Failure for a job that fails; ``give_up``: raises UserError at the first."""
+    results: dict[int, Table | Failure] = {}
     reached = dict.fromkeys(range(len(jobs)), 0.0)
     total = sum(job.stop_time for job in jobs)
     layout = "{l_bar}{bar}| {n:.1f} of {total:.1f} s simulated, {remaining} to go"
@@ -272,7 +280,7 @@ def simulate_all(jobs: Sequence[Timed], label: str) -> list[Table]:
 
         with Workers(min(cores(), len(jobs)), on_time) as workers:
             for number, result in workers.run(enumerate(jobs)):
-                if isinstance(result, Failure):
+                if give_up and isinstance(result, Failure):
                     raise UserError(result)
                 results[number] = result
                 on_time(number, jobs[number].stop_time)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
@@ -51,6 +51,14 @@ class Scenario:
     def name(self) -> str:
         """The folder's name."""
         return self.folder.name
+
+    def named(self, names: Sequence[str]) -> tuple[Run, ...]:
+        """The runs of these names, or all where none is asked for. Raises UserError."""
+        known = [run.name for run in self.runs]
+        for name in names:
+            if name not in known:
+                raise UserError(f"{self.folder}: there is no run {name!r}{instead(name, known)}")
+        return tuple(run for run in self.runs if not names or run.name in names)
 
     def reference(self, run: Run) -> Path:
         """Where the frozen result of ``run`` is kept."""

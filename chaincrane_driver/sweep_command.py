@@ -9,6 +9,7 @@ import numpy as np
 
 from . import dataset, scenario, shipped, vary
 from .antisway import Setup, parse_setting
+from .check_command import add_run
 from .cluster import dask
 from .compare import markdown_table, shown
 from .dataset import Results
@@ -75,11 +76,7 @@ def _subject(options: argparse.Namespace, design: Design) -> Subject:
         if options.set:
             raise UserError(f"--set is for the closed loop: chaincrane sweep {LOOP}")
         one = scenario.load(shipped.scenario(Path(options.subject)))
-        names = [run.name for run in one.runs]
-        for name in options.run:
-            if name not in names:
-                raise UserError(f"{one.folder}: there is no run {name!r}{instead(name, names)}")
-        runs = [run for run in one.runs if not options.run or run.name in options.run]
+        runs = one.named(options.run)
         if options.fmu is not None and len(runs) > 1:
             raise UserError("--fmu stands in for one run's FMU: choose it by --run NAME")
         return scenario_subject(one, runs, options.fmus, options.signals, options.keep, options.fmu)
@@ -129,9 +126,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="independent draws, a Latin hypercube, or Sobol's sequence (random)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the draws (0)")
-    parser.add_argument(
-        "--run", action="append", default=[], metavar="NAME", help="a run of the scenario (all)"
-    )
+    add_run(parser)
     parser.add_argument("--fmu", type=Path, metavar="FILE", help="this FMU instead of the run's")
     parser.add_argument(
         "--set",

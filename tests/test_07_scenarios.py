@@ -129,6 +129,33 @@ def test_what_ci_reads(fmus: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert signals["payload.x_rel"]["largest"] > signals["payload.x_rel"]["allowed"] == 1e-9
 
 
+def test_a_run_that_fails_is_its_own_in_junit(fmus: Path, tmp_path: Path) -> None:
+    """Of four runs one crashes its worker, one has an FMU that is none, one refuses its mass."""
+    junitparser = pytest.importorskip("junitparser")
+    copy = copied_push(tmp_path, "= 2 }", "= 0 }")
+    text = (copy / "scenario.toml").read_text()
+    text = text.replace("crane_lin.fmu", "cut.fmu", 1)
+    (copy / "scenario.toml").write_text("none.fmu".join(text.rsplit("crane_lin.fmu", 1)))
+    for name in ("crane_nl.fmu", "crane_lin.fmu"):
+        shutil.copy(fmus / name, tmp_path)
+    cut_short(fmus / "crane_lin.fmu", tmp_path / "cut.fmu")
+    (tmp_path / "none.fmu").write_text("no zip file")
+    junit = tmp_path / "junit.xml"
+    options = ["check", copy, "--fmus", tmp_path, "--junit", junit]
+    assert cli.main([str(one) for one in options]) == 1
+    (suite,) = junitparser.JUnitXml.fromfile(str(junit))
+    told = {case.name: [one.message for one in case.result] for case in suite}
+    assert told.pop("nonlinear, 10 elements") == []
+    parts = {
+        "linear, 10 elements": "cut.fmu",
+        "linear, 2 elements": "chain.elements = 0 is not allowed",
+        "massless rope": "none.fmu: not a valid FMU",
+    }
+    assert told.keys() == parts.keys()
+    for name, part in parts.items():
+        assert part in told[name][0]
+
+
 def test_results_of_any_tool_can_be_checked(
     fmus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -146,7 +173,7 @@ def test_results_of_any_tool_can_be_checked(
     nonlinear, linear, spoilt_line, missing, end = capsys.readouterr().out.splitlines()
     assert "ok" in nonlinear and "ok" in linear
     assert "DIFFERS; worst: payload.x off by 1e-06" in spoilt_line
-    assert "massless.csv: no such file" in missing
+    assert "massless.csv: cannot be read: No such file" in missing
     assert end == "2 runs as their references, 2 not"
 
 
@@ -372,6 +399,22 @@ def test_options_are_checked(
     one_line_error([*arguments, *more], *parts)
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["export"],
+        ["report"],
+        ["converge"],
+        ["sweep", "--vary", "gravity=9.7,9.9"],
+        ["fit", "no.csv", "--fit", "gravity"],
+    ],
+)
+def test_an_unknown_run_is_refused(command: list[str]) -> None:
+    first, *more = command
+    options = [first, SCENARIOS / "paper_heavy", *more, "--run", "lineer_2"]
+    one_line_error(options, "there is no run 'lineer_2'; the nearest is 'linear_2'")
+
+
 def test_a_stale_fmu_is_not_checked(
     fmus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -421,13 +464,18 @@ def test_a_file_that_is_no_fmu(tmp_path: Path) -> None:
     one_line_error(["check", "--fmu", bad, "--scenarios", SCENARIOS], "not a valid FMU")
 
 
-def test_an_fmu_that_crashes_is_one_line(fmus: Path, tmp_path: Path) -> None:
-    """Its binary is cut short: the worker dies or fails, the driver says so."""
-    broken = tmp_path / "crane_nl.fmu"
-    with zipfile.ZipFile(fmus / "crane_nl.fmu") as source, zipfile.ZipFile(broken, "w") as target:
+def cut_short(fmu: Path, copy: Path) -> None:
+    """A copy of an FMU whose binary is cut short."""
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(copy, "w") as target:
         for name in source.namelist():
             content = source.read(name)
             target.writestr(name, content[:5000] if name.startswith("binaries") else content)
+
+
+def test_an_fmu_that_crashes_is_one_line(fmus: Path, tmp_path: Path) -> None:
+    """Its binary is cut short: the worker dies or fails, the driver says so."""
+    broken = tmp_path / "crane_nl.fmu"
+    cut_short(fmus / "crane_nl.fmu", broken)
     with pytest.raises(UserError, match=r"crane_nl\.fmu"):
         simulate_all([Job(broken, {}, None, 0.1, 0.01)], "broken")
 
