@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from . import shipped
 from .compare import markdown_table
 from .errors import UserError
 from .loop import ANTISWAY, CRANE, OBSERVER, SEPARATOR, Loop, column
@@ -86,7 +87,7 @@ class Setup:
         start = {CRANE: crane, OBSERVER: observer, ANTISWAY: antisway}
         files = {CRANE: self.plant, OBSERVER: "crane_observer", ANTISWAY: "crane_antisway"}
         return Loop(
-            fmus={part: fmus / f"{name}.fmu" for part, name in files.items()},
+            fmus={part: shipped.fmu(fmus, f"{name}.fmu") for part, name in files.items()},
             start={part: values | dict(self.more.get(part, {})) for part, values in start.items()},
             stop_time=self.stop_time,
             step=self.step,

@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from . import checking, compare, crosscheck, scenario
+from . import checking, compare, crosscheck, scenario, shipped
 from .errors import UserError, instead
 from .instances import describe
 from .processes import Failure, simulate_all, simulate_each
@@ -68,7 +68,7 @@ def _runs_to_check(options: argparse.Namespace) -> list[tuple[Scenario, Run]]:
 
 
 def _jobs(options: argparse.Namespace, runs: list[tuple[Scenario, Run]]) -> list[Job]:
-    jobs = [one.job(run, options.fmu or options.fmus / run.fmu) for one, run in runs]
+    jobs = [one.job(run, options.fmu or shipped.fmu(options.fmus, run.fmu)) for one, run in runs]
     if say_if_stale(job.fmu for job in jobs) and not options.accept_stale:
         raise UserError("nothing was checked: an FMU is stale (--accept-stale checks it as it is)")
     return jobs
@@ -128,7 +128,7 @@ def _reference(one: Scenario, run: Run) -> Table:
 
 def _units(options: argparse.Namespace, run: Run) -> dict[str, str | None]:
     """Units of an FMU's variables; none where only its results are here."""
-    fmu = options.fmu or options.fmus / run.fmu
+    fmu = options.fmu or shipped.fmu(options.fmus, run.fmu)
     if not fmu.exists():
         return {}
     return {variable.name: variable.unit for variable in describe(fmu).modelVariables}
@@ -163,7 +163,7 @@ def command_export(options: argparse.Namespace) -> int:
     runs = [(one, run) for one in scenarios for run in one.named(options.run)]
     written = []
     for one, run in runs:
-        fmu = options.fmus / run.fmu
+        fmu = shipped.fmu(options.fmus, run.fmu)
         if not options.run and crosscheck.default_starts(one, run, fmu):
             print(f"left out: {one.name}, {run.name}: it has start values of its own")
         else:

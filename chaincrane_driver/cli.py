@@ -49,7 +49,7 @@ PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
 
 def run_all(one: Scenario, fmus: Path) -> dict[str, Table]:
     """Simulate every run of a scenario."""
-    jobs = [one.job(run, fmus / run.fmu) for run in one.runs]
+    jobs = [one.job(run, shipped.fmu(fmus, run.fmu)) for run in one.runs]
     say_if_stale(job.fmu for job in jobs)
     tables = simulate_all(jobs, one.name)
     return {run.name: table for run, table in zip(one.runs, tables, strict=True)}
@@ -57,7 +57,7 @@ def run_all(one: Scenario, fmus: Path) -> dict[str, Table]:
 
 def checked_units(one: Scenario, fmus: Path) -> dict[str, str | None]:
     """Units of the first run's variables by name; raises UserError for a signal it has not."""
-    variables = describe(fmus / one.runs[0].fmu).modelVariables
+    variables = describe(shipped.fmu(fmus, one.runs[0].fmu)).modelVariables
     outputs = [variable for variable in variables if variable.causality == "output"]
     units = {variable.name: variable.unit for variable in outputs}
     for name in one.look_at:
@@ -90,7 +90,7 @@ def command_converge(options: argparse.Namespace) -> int:
     """
     one = scenario.load(options.scenario)
     runs = one.named(options.run)
-    say_if_stale(options.fmus / run.fmu for run in runs)
+    say_if_stale(shipped.fmu(options.fmus, run.fmu) for run in runs)
     findings = converge.study(one, runs, options.fmus, options.signals)
     path = options.out / one.name / "convergence.csv"
     converge.write_csv(path, findings)
@@ -217,7 +217,7 @@ METHOD_LABELS = {
 
 def command_study(options: argparse.Namespace) -> int:
     """Run a study from the FMUs: tables and a picture. The study: observer, some minutes."""
-    say_if_stale(sorted(options.fmus.glob("crane_*.fmu")))
+    say_if_stale(sorted(study.files(options.fmus)))
     results = study.run(options.fmus)
     text = study.report(results)
     path = options.out / "observer_study.md"
@@ -263,9 +263,9 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--fmus",
             type=Path,
-            default=shipped.fmus(),
+            default=shipped.WORKING_FOLDER,
             metavar="DIR",
-            help="where the FMUs are (here; if there are none, those that came with chaincrane)",
+            help="where the FMUs are (here; one that is not, where chaincrane came with it)",
         )
         return sub
 
@@ -400,6 +400,25 @@ def own_temporary_folder() -> Iterator[None]:
                 os.environ["TMPDIR"] = before
 
 
+def check_places(options: argparse.Namespace) -> None:
+    """Where a command is to write it can: said before its work, not after. Raises UserError."""
+    given = vars(options)
+    folders = {"out": given["out"] or Path("results")} if "out" in given else {}
+    for option in ("junit", "json"):
+        file = given.get(option)
+        if file is not None:
+            if file.is_dir():
+                raise UserError(f"--{option} {file}: is a folder")
+            folders[option] = file.parent
+    for option, folder in folders.items():
+        above = [folder.absolute(), *folder.absolute().parents]
+        there = next(one for one in above if one.exists())
+        if not there.is_dir():
+            raise UserError(f"--{option} {given[option] or folder}: {there} is not a folder")
+        if not os.access(there, os.W_OK):
+            raise UserError(f"--{option} {given[option] or folder}: {there} cannot be written")
+
+
 def versions() -> str:
     """Versions of what decides a result."""
     ours, fmpy = metadata.version("chaincrane"), metadata.version("fmpy")
@@ -417,6 +436,7 @@ def main(arguments: list[str] | None = None) -> int:
         return command.main(given[1:], "chaincrane build", shipped.FMUS)
     options = parser().parse_args(given)
     try:
+        check_places(options)
         with own_temporary_folder():
             return int(options.action(options))
     except UserError as error:

@@ -57,18 +57,29 @@ def shown(unit: str | None) -> tuple[float, str]:
     return 1.0, (unit or "").replace("m/s2", "m/s\N{SUPERSCRIPT TWO}").replace("N.s", "N s")
 
 
+Rows = tuple[Sequence[str], list[Sequence[str]]]  # a table's header, and its rows
+
+
 def comparison_table(
     scenario: Scenario, results: dict[str, Table], units: Mapping[str, str | None]
 ) -> str:
-    """RMS and largest difference to the first run, for each signal looked at, as Markdown."""
-    return markdown_table(*comparison_rows(scenario, results, units))
+    """RMS and largest difference to the first run, for each signal looked at, as Markdown.
+
+    Of one run alone: how large each signal is.
+    """
+    return markdown_table(*comparison_rows(scenario, results, units, scenario.look_at))
 
 
 def comparison_rows(
-    scenario: Scenario, results: dict[str, Table], units: Mapping[str, str | None]
-) -> tuple[Sequence[str], list[Sequence[str]]]:
-    """The same as a header and rows."""
+    scenario: Scenario,
+    results: Mapping[str, Table],
+    units: Mapping[str, str | None],
+    alone: Sequence[str],
+) -> Rows:
+    """The same as a header and rows; ``alone``: the signals that are told of one run."""
     first, *others = scenario.runs
+    if not others:
+        return _size_rows(results[first.name], alone, units)
     header = ("signal", f"against {first.label}", "RMS", "largest", "RMS", "largest")
     rows: list[Sequence[str]] = []
     for signal in scenario.look_at:
@@ -86,6 +97,15 @@ def comparison_rows(
                 )
             )
     return header, rows
+
+
+def _size_rows(result: Table, signals: Sequence[str], units: Mapping[str, str | None]) -> Rows:
+    rows: list[Sequence[str]] = []
+    for signal in signals:
+        factor, unit = shown(units[signal])
+        sizes = np.abs(result[signal]).max(), np.sqrt(np.mean(result[signal] ** 2))
+        rows.append((signal, *(f"{factor * size:.4g} {unit}".rstrip() for size in sizes)))
+    return ("signal", "largest", "RMS"), rows
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from fmpy.model_description import ModelDescription, ScalarVariable
 from numpy.typing import NDArray
 
+from . import shipped
 from .compare import markdown_table, shown
 from .errors import UserError, instead
 from .instances import Instances, describe
@@ -186,7 +187,7 @@ class Case:
 
 def prepare(scenario: Scenario, run: Run, fmus: Path, names: Sequence[str]) -> Case:
     """What is to run for ``run``; ``names``: its signals, if not the usual. Raises UserError."""
-    job = scenario.job(run, fmus / run.fmu)
+    job = scenario.job(run, shipped.fmu(fmus, run.fmu))
     variables = by_name(describe(job.fmu))
     step = internal_step(job.output_interval, setting(job, variables, STEP))
     elements = round(setting(job, variables, ELEMENTS))

@@ -223,6 +223,7 @@ class Problem:
         self._there = np.isfinite(measured.vector())
         self.scales = np.array([one.scale for one in asked])
         self.runs = 0
+        self.refusal = ""  # why the last one that was refused was
 
     def values(self, x: Values) -> dict[str, float]:
         """The parameters' values by name."""
@@ -239,7 +240,10 @@ class Problem:
         self.runs += len(work)
         found: list[Table | None] = [None] * len(work)
         for number, result in self._workers.run(enumerate(work)):
-            found[number] = None if isinstance(result, Failure) else result
+            if isinstance(result, Failure):
+                self.refusal = str(result)
+            else:
+                found[number] = result
         return found
 
     def predicted(self, x: Values, table: Table) -> dict[str, Values]:
@@ -298,7 +302,7 @@ def fit(job: Job, measured: Measured, asked: Sequence[Parameter], seed: int = 0)
         x = np.asarray(best.x)
         (table,) = problem.simulate([x])
         if table is None:
-            raise UserError("the FMU refuses every value that was tried: start elsewhere by --fit")
+            raise UserError(f"no value that was tried would do: {problem.refusal}")
         jacobian = problem.jacobian(x)
         fitted = problem.predicted(x, table)
         runs = problem.runs

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from . import fit, scenario
+from . import fit, scenario, shipped
 from .instances import describe
 from .stale import say_if_stale
 
@@ -19,7 +19,7 @@ def command_fit(options: argparse.Namespace) -> int:
     """
     one = scenario.load(options.scenario)
     run, *_ = one.named([options.run] if options.run else [])
-    job = one.job(run, options.fmu or options.fmus / run.fmu)
+    job = one.job(run, options.fmu or shipped.fmu(options.fmus, run.fmu))
     say_if_stale([job.fmu])
     measured = fit.read_measured(options.measured)
     asked = fit.parameters(job, measured, options.fit, options.shift, options.bias)

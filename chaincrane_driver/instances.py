@@ -47,9 +47,12 @@ Stamp = tuple[str, int, int]
 def describe(fmu: Path) -> ModelDescription:
     """The FMU's model description, validated by FMPy. Raises UserError."""
     if not fmu.exists():
-        raise UserError(f"{fmu}: no such FMU; build it with: chaincrane build")
+        native = " --native" if fmu.stem.endswith("_native") else ""
+        raise UserError(f"{fmu}: no such FMU; build it with: chaincrane build{native}")
     try:
         return read_model_description(str(fmu))
+    except (AttributeError, TypeError) as error:  # FMPy stumbles where something is missing
+        raise UserError(f"{fmu}: not a valid FMU: its XML is no model description") from error
     except Exception as error:
         raise UserError(f"{fmu}: not a valid FMU: {one_line(error)}") from error
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from . import shipped
 from .antisway import Metrics, Setup, measure
 from .compare import comparison_rows, shown
 from .instances import describe
@@ -132,16 +133,6 @@ def _versions(fmus: Iterable[Path]) -> list[tuple[str, str]]:
     return [*told, ("driven by", ", ".join(f"{name} {metadata.version(name)}" for name in names))]
 
 
-def _sizes(curves: Sequence[Curve]) -> tuple[Sequence[str], list[Sequence[str]]]:
-    """What is told of one run alone: a row for each curve."""
-    rows: list[Sequence[str]] = []
-    for curve in curves:
-        values = np.concatenate([v for v in curve.values if v is not None])
-        sizes = (float(np.abs(values).max()), float(np.sqrt(np.mean(values**2))))
-        rows.append((curve.title, *(f"{size:.4g} {curve.unit}" for size in sizes)))
-    return ("signal", "largest", "RMS"), rows
-
-
 def _start_values(values: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} = {value}" for name, value in values.items()) or "the FMU's own"
 
@@ -161,13 +152,13 @@ def of_scenario(
         ("simulated", f"{one.stop_time:g} s, an output every {one.output_interval:g} s"),
         ("all runs start with", _start_values(one.start)),
         *((run.label, f"{run.fmu}: {_start_values(run.start)}") for run in runs),
-        *_versions(fmus / run.fmu for run in runs),
+        *_versions(shipped.fmu(fmus, run.fmu) for run in runs),
     ]
     return Report(
         one.title,
         " ".join(one.asks.split()),
         f"Differences to: {runs[0].label}" if len(runs) > 1 else "How large",
-        comparison_rows(one, dict(results), units) if len(runs) > 1 else _sizes(curves),
+        comparison_rows(one, results, units, list(names)),
         settings,
         [(run.label, results[run.name]) for run in runs],
         curves,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from functools import cache
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -12,12 +14,25 @@ SCENARIOS = _IN_WHEEL / "scenarios" if _IN_WHEEL.exists() else CHECKOUT / "scena
 TOLERANCES = SCENARIOS / "tolerances.toml"  # where a scenario's own folder gives none
 STEPPER = _IN_WHEEL / "stepper"  # a library for each platform; a checkout compiles its own
 FMUS = _IN_WHEEL / "fmus"  # a checkout has none: its FMUs are built where they are asked for
+WORKING_FOLDER = Path()  # where FMUs are looked for if nothing is said
 
 
-def fmus() -> Path:
-    """Where FMUs are looked for if nothing is said: here, or what came with chaincrane."""
-    here = Path()
-    return FMUS if FMUS.exists() and not any(here.glob("crane_*.fmu")) else here
+def fmu(folder: Path, name: str) -> Path:
+    """An FMU's file in a folder; where that is the working folder and has none, ours.
+
+    Where FMUs of both places are used, it is said once, on stderr.
+    """
+    ours = FMUS / name
+    if folder != WORKING_FOLDER or (folder / name).exists() or not ours.exists():
+        return folder / name
+    if any(folder.glob("crane_*.fmu")):
+        _say_ours(name)
+    return ours
+
+
+@cache
+def _say_ours(name: str) -> None:
+    print(f"chaincrane: {name} is not here: taking the one that came with it", file=sys.stderr)
 
 
 def scenarios() -> Path:

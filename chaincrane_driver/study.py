@@ -191,6 +191,11 @@ class Results:
     shown: dict[tuple[str, ...], Table]
 
 
+def files(fmus: Path) -> set[Path]:
+    """The FMU files that the study runs."""
+    return {file for case in cases() for file in case.loop(fmus).fmus.values()}
+
+
 def run(fmus: Path) -> Results:
     """Run the whole study from the FMU files of a folder."""
     every = list(cases())

@@ -15,8 +15,9 @@ import numpy as np
 from fmpy.model_description import ModelDescription
 from numpy.typing import NDArray
 
+from . import shipped
 from .antisway import Metrics, Setup, measure
-from .errors import UserError
+from .errors import UserError, instead
 from .instances import Instances, describe
 from .loop import CRANE, SEPARATOR
 from .scenario import Run, Scenario
@@ -156,9 +157,11 @@ class ScenarioSubject:
         return tuple(compared if len(self.runs) > 1 else peaks)[:MOST_DRAWN]
 
     def check(self, design: Design) -> None:
-        """Every run's FMU must have what varies. Raises UserError."""
+        """Every run's FMU must have what varies, and what it starts with. Raises UserError."""
         for job in self.jobs:
-            _check(design, job.fmu, describe(job.fmu), "")
+            description = describe(job.fmu)
+            check_start_values(job.fmu, description, job.start_values)
+            _check(design, job.fmu, description, "")
 
     def times(self) -> NDArray[np.float64]:
         """Times of the series, s."""
@@ -240,14 +243,16 @@ def scenario_subject(
     """
     measured = tuple(dict.fromkeys((*one.look_at, *signals)))
     outputs = tuple(dict.fromkeys((*measured, *kept)))
-    jobs = tuple(replace(one.job(run, fmu or fmus / run.fmu), outputs=outputs) for run in runs)
+    every = [one.job(run, fmu or shipped.fmu(fmus, run.fmu)) for run in runs]
+    jobs = tuple(replace(job, outputs=outputs) for job in every)
     units: dict[str, str] = {}
     for job in jobs:
         variables = {v.name: v for v in describe(job.fmu).modelVariables}
         for name in outputs:
             variable = variables.get(name)
             if variable is None or (variable.type, variable.causality) != ("Real", "output"):
-                raise UserError(f"{job.fmu}: there is no Real output {name!r}")
+                near = instead(name, (n for n, v in variables.items() if v.causality == "output"))
+                raise UserError(f"{job.fmu}: there is no Real output {name!r}{near}")
         units |= {name: variable.unit or "" for name, variable in variables.items()}
     files = {job.fmu.name: job.fmu for job in jobs}
     if len({job.fmu for job in jobs}) > len(files):
@@ -370,7 +375,7 @@ def loop_subject(setup: Setup, fmus: Path, design: Design, kept: Sequence[str] =
     loop = setup.loop(fmus)
     files = dict.fromkeys(loop.fmus.values())
     if "plant" in design.names:
-        files |= dict.fromkeys(fmus / f"{plant}.fmu" for plant in design.values("plant"))
+        files |= dict.fromkeys(shipped.fmu(fmus, f"{one}.fmu") for one in design.values("plant"))
     known = {name for name in loop.table().dtype.names or () if name != "time"}
     for name in kept:
         if name not in known:

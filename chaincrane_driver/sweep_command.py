@@ -29,7 +29,8 @@ def command_sweep(options: argparse.Namespace) -> int:
     WHAT is FIRST:LAST:COUNT, with :log behind it if spaced by logarithms; values A,B,C; or
     uniform(A,B), loguniform(A,B), normal(MEAN,STD), drawn --samples times. Ranges and values make
     a grid. Of the closed loop, NAME is a word like payload, elements or sensor, or a start value
-    PART::NAME. What is done is kept: the same command goes on after Ctrl-C.
+    PART::NAME. What is done is kept: the same command goes on after Ctrl-C. 1 where no run was
+    done.
     """
     design = vary.design(options.vary, options.samples, options.method, options.seed, options.cases)
     subject = _subject(options, design)
@@ -47,7 +48,7 @@ def command_sweep(options: argparse.Namespace) -> int:
     print("written: " + ", ".join(map(str, written)))
     if not files.netcdf.exists():
         print(f"no NetCDF: that needs {dataset.INSTALL}")
-    return 0
+    return 1 if results.failed == results.messages.size else 0
 
 
 def summary(subject: Subject, results: Results, metrics: list[Metric]) -> str:

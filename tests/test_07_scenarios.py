@@ -368,6 +368,8 @@ def test_a_scenario_of_ones_own_needs_little(fmus: Path, tmp_path: Path) -> None
     assert chaincrane("check", folder, "--fmus", fmus, "--update").returncode == 0
     done = chaincrane("check", folder, "--fmus", fmus)
     assert "1 runs as their references" in done.stdout, done.stderr
+    done = chaincrane("run", folder, "--fmus", fmus, "--out", tmp_path)
+    assert re.search(r"\| payload.x_rel +\| [\d.]+ mm \| [\d.]+ mm \|", done.stdout)
     one = scenario.load(folder)
     assert (one.look_at, one.runs[0].label, one.start) == (("payload.x_rel",), "heavy", {})
 
@@ -413,6 +415,45 @@ def test_an_unknown_run_is_refused(command: list[str]) -> None:
     first, *more = command
     options = [first, SCENARIOS / "paper_heavy", *more, "--run", "lineer_2"]
     one_line_error(options, "there is no run 'lineer_2'; the nearest is 'linear_2'")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "run paper_heavy --out",
+        "converge paper_heavy --out",
+        "report paper_heavy --out",
+        "export paper_heavy --out",
+        "figures --out",
+        "antisway --out",
+        "sweep paper_heavy --vary gravity=9.7,9.9 --out",
+        "fit paper_heavy no.csv --fit gravity --out",
+        "study observer --out",
+        "check --junit",
+        "check --json",
+    ],
+)
+def test_where_it_cannot_write_is_said_before_the_work(tmp_path: Path, command: str) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    name = command.rpartition(" ")[2]
+    one_line_error([*command.split(), file / "more"], f"{name} {file}", f"{file} is not a folder")
+
+
+def test_a_sweep_that_gives_nothing_fails(fmus: Path, tmp_path: Path) -> None:
+    options = ["sweep", SCENARIOS / "payload_push", "--fmus", fmus, "--out", tmp_path / "sweep"]
+    masses = [*map(str, options), "--run", "linear_2", "--vary", "payload.mass=-1"]
+    assert cli.main(masses) == 1
+    copy = copied_push(tmp_path, '"payload.mass" = 0.42', '"payload.mass" = "heavy"')
+    options = ["sweep", copy, "--fmus", fmus, "--vary", "gravity=9.7,9.9", "--out", tmp_path]
+    one_line_error(options, "payload.mass = 'heavy' is not allowed: a finite number")
+
+
+def test_a_fit_that_no_run_serves_says_why(fmus: Path, tmp_path: Path) -> None:
+    copy = copied_push(tmp_path, '"payload.mass" = 0.42', '"payload.mass" = -1')
+    (tmp_path / "measured.csv").write_text("time,payload.x_rel\n0,0\n0.1,1\n0.2,1\n")
+    options = ["fit", copy, tmp_path / "measured.csv", "--fmus", fmus, "--run", "linear_2"]
+    one_line_error([*options, "--fit", "gravity"], "payload.mass = -1.0 is not allowed")
 
 
 def test_a_stale_fmu_is_not_checked(
@@ -470,6 +511,13 @@ def cut_short(fmu: Path, copy: Path) -> None:
         for name in source.namelist():
             content = source.read(name)
             target.writestr(name, content[:5000] if name.startswith("binaries") else content)
+
+
+def test_a_description_that_is_none(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "bad.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", "<html/>")
+    options = ["check", "--fmu", tmp_path / "bad.fmu", "--scenarios", SCENARIOS]
+    one_line_error(options, "not a valid FMU: its XML is no model description")
 
 
 def test_an_fmu_that_crashes_is_one_line(fmus: Path, tmp_path: Path) -> None:

@@ -70,12 +70,19 @@ def test_a_wheel_works_anywhere(wheel: Path, fmus: Path, tmp_path: Path) -> None
     done = run_in(wheel, tmp_path, "check", "payload_push")  # its scenarios, its FMUs
     assert "4 runs as their references, 0 not" in done.stdout, done.stderr
     assert not list(tmp_path.iterdir())
+    (tmp_path / "empty").mkdir()
+    done = run_in(wheel, tmp_path, "check", "payload_push", "--fmus", "empty")
+    assert "empty/crane_nl.fmu: no such FMU" in done.stdout  # that folder was asked for
     done = run_in(wheel, tmp_path, "build")
     assert done.returncode == 0, done.stderr
     assert str(wheel) in done.stderr  # copied, not compiled
     assert "crane_lin.fmu: valid" in done.stdout and "runs on linux64, win64" in done.stdout
     for fmu in fmus.glob("*.fmu"):
         assert (tmp_path / fmu.name).read_bytes() == fmu.read_bytes()
+    (tmp_path / "crane_nl.fmu").unlink()
+    done = run_in(wheel, tmp_path, "check", "payload_push")
+    assert done.stderr == "chaincrane: crane_nl.fmu is not here: taking the one that came with it\n"
+    assert "4 runs as their references, 0 not" in done.stdout
 
 
 def test_a_wheel_can_build_anew(wheel: Path, fmus: Path, tmp_path: Path) -> None:
@@ -124,6 +131,27 @@ def test_without_a_home_the_compilers_cache_is_temporary(
         compile_c._zig_cache.cache_clear()
         assert ("ZIG_GLOBAL_CACHE_DIR" in compile_c._zig_cache()) == (value != tmp_path)
     compile_c._zig_cache.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["crane_nll"], "no such model: crane_nll"),
+        (["--dest", "FILE/more"], "is not a folder"),
+        (["--dest", "FILE"], "is not a folder"),
+    ],
+)
+def test_what_cannot_be_built_is_one_line_at_once(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], says: str
+) -> None:
+    (tmp_path / "file").touch()
+    given = [one.replace("FILE", str(tmp_path / "file")) for one in arguments]
+    try:
+        code: object = command.main(given)
+    except SystemExit as end:
+        code = end.code
+    errors = capsys.readouterr().err
+    assert code == 2 and says in errors and errors.count("\n") == 1
 
 
 def build_fails(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import tempfile
 import zipfile
 from pathlib import Path, PurePosixPath
+from typing import NoReturn
 
 from .compile_c import has_cc, has_zig
 from .fmus import MODELS, NATIVE_MODELS
@@ -54,6 +56,8 @@ def main(
         print("chaincrane: stopped", file=sys.stderr)
     except subprocess.CalledProcessError as error:
         code = _say_compile_error(error)
+    except (FileExistsError, NotADirectoryError):
+        print(f"chaincrane: --dest {options.dest}: is not a folder", file=sys.stderr)
     except OSError as error:
         where = error.filename or f"cannot build into {options.dest.resolve()}"
         print(f"chaincrane: {where}: {error.strerror or error}", file=sys.stderr)
@@ -63,8 +67,16 @@ def main(
     return code
 
 
+class _Parser(argparse.ArgumentParser):
+    """A command line's grammar whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with the message and where help is."""
+        self.exit(2, f"chaincrane: {message}; see {self.prog} --help\n")
+
+
 def _options(arguments: list[str] | None, program: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=program,
         description="Build the cranes' FMUs, and validate them with FMPy.",
         epilog=f"examples:  {program}    {program} --dest out crane_nl    {program} --native",
@@ -87,6 +99,9 @@ def _options(arguments: list[str] | None, program: str) -> argparse.Namespace:
 
 
 def _build_all(options: argparse.Namespace, ready: Path | None) -> int:
+    options.dest.mkdir(parents=True, exist_ok=True)
+    if not os.access(options.dest, os.W_OK):
+        raise PermissionError(errno.EACCES, "cannot be written", str(options.dest))
     count, failed = len(options.models), False
     for number, model in enumerate(options.models, 1):
         fmu = None if ready is None or options.compile else ready / f"{model}.fmu"
@@ -114,7 +129,6 @@ def _build_all(options: argparse.Namespace, ready: Path | None) -> int:
 
 
 def _copy(fmu: Path, dest: Path) -> Path:
-    dest.mkdir(parents=True, exist_ok=True)
     partial = dest / f"{fmu.stem}.part"
     try:
         shutil.copyfile(fmu, partial)
