@@ -193,7 +193,7 @@ def command_antisway(options: argparse.Namespace) -> int:
         print(f"{master}: every signal within {worst:.1e} (SI) of FMPy's")
         write_table(options.out / f"{master}.csv", table)
     write_table(options.out / "fmpy.csv", tables[0])
-    title = f"{setup.target:g} m; payload {setup.payload:g} kg; {setup.sensor} sensor"
+    title = f"A move of {setup.target:g} m; payload {setup.payload:g} kg; {setup.sensor} sensor"
     title += f"; observer: {setup.label}"
     written = [ssp, options.out / "fmpy.csv"]
     bars = [(label, one.settling, 1e3 * one.residual) for label, one in rows]

@@ -224,7 +224,7 @@ def antisway_figure(
     panels = (
         ("crane::payload.x", 1.0, "payload's position x", "m"),
         ("crane::payload.x_rel", 1e3, "payload's sway", "mm"),
-        ("antisway::trolley.a_cmd", 1.0, "command, acceleration", "m/s²"),
+        ("antisway::trolley.a_cmd", 1.0, "command", "m/s²"),
     )
     for place, (name, scale, text, unit) in zip((0, 1, 3), panels, strict=True):
         panel = axes.flat[place]
@@ -264,7 +264,7 @@ def _bars(axes: Axes, bars: list[tuple[str, float]], text: str) -> None:
     places = np.arange(len(bars))[::-1]
     axes.barh(places, there, color="0.6", height=0.6)
     for place, length in zip(places, lengths, strict=True):
-        number = "does not settle" if np.isnan(length) else f" {length:.2f}"
+        number = " does not settle" if np.isnan(length) else f" {length:.2f}"
         axes.text(0.0 if np.isnan(length) else length, place, number, va="center")
     axes.set_yticks(places, labels)
     axes.set_xlabel(text)

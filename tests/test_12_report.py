@@ -154,6 +154,31 @@ def test_runs_can_be_hidden(page: Any, reports: dict[str, Path]) -> None:
     assert ghosts.count() == 2 and curves.count() < before
 
 
+@pytest.mark.parametrize("page", [PHONE], indirect=True)
+def test_settings_fit_a_phone(page: Any, reports: dict[str, Path]) -> None:
+    page.goto(reports["antisway"].as_uri())
+    beyond = "(e => e.scrollWidth - e.clientWidth)(document.querySelector('.settings'))"
+    assert page.evaluate(beyond) == 0
+
+
+def test_nothing_is_minus_zero(page: Any, reports: dict[str, Path]) -> None:
+    """When it has settled the trolley stands, within rounding of either sign."""
+    page.goto(reports["antisway"].as_uri())
+    told = page.evaluate(
+        """() => {
+            const slider = document.querySelector("input[type=range]"), told = [];
+            for (let row = 0; row <= +slider.max; row += 10) {
+                slider.value = row;
+                slider.dispatchEvent(new Event("input"));
+                told.push(...[...document.querySelectorAll(".now")].map(one => one.textContent));
+            }
+            return told.join(" ");
+        }"""
+    )
+    assert " 0.0000 m/s" in told
+    assert not re.search(r"-0\.0* ", told)
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_can_be_read_in_the_dark(page: Any, reports: dict[str, Path], scheme: str) -> None:
     page.emulate_media(color_scheme=scheme)
