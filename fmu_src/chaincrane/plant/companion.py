@@ -2,10 +2,11 @@
 
 Where the motion is smooth and the scheme of second order, the finer solution is off by a third of
 the difference of the two (Richardson); after jumps and changes of load the order lies between two
-and one, so that it is a half, give or take; where the chain has been slack the order is one, and it
-is all of it. A formulation of fourth order tells a fifteenth. Of forces it is twice as much. What
-is told is the largest so far. It sees the time error, and where the motion is one that a small
-change makes another one of; the mesh's error it does not see.
+and one, so that it is a half, give or take. Where the chain has been slack the order is one, so
+that it is all of it, and half as much again is told, for it varies more. A formulation of fourth
+order tells a fifteenth. Of forces it is twice as much. What is told is the largest so far. It sees
+the time error, and where the motion is one that a small change makes another one of; the mesh's
+error it does not see.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ SCHEME_CLASSES: dict[str, Callable[[DiscreteChain], Scheme]] = {
 }
 STEP_ENERGY_TOLERANCE = 1e-3  # of the energy put in so far, what a step may be off by
 TAUT_SHARE = 0.5  # of the payloads' distance, what the time error is told to be
-SLACK_SHARE = 1.0  # the same, since the chain has been slack
+SLACK_SHARE = 1.5  # the same, since the chain has been slack
 
 
 class Truss:
