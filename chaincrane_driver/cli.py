@@ -38,6 +38,7 @@ from .errors import UserError, instead
 from .instances import describe
 from .loop import ORDERS
 from .masters import MASTERS, Package
+from .places import hindrance
 from .processes import Timed, progress_bar, simulate_all
 from .scenario import Scenario
 from .ssp import write_ssp
@@ -411,12 +412,9 @@ def check_places(options: argparse.Namespace) -> None:
                 raise UserError(f"--{option} {file}: is a folder")
             folders[option] = file.parent
     for option, folder in folders.items():
-        above = [folder.absolute(), *folder.absolute().parents]
-        there = next(one for one in above if one.exists())
-        if not there.is_dir():
-            raise UserError(f"--{option} {given[option] or folder}: {there} is not a folder")
-        if not os.access(there, os.W_OK):
-            raise UserError(f"--{option} {given[option] or folder}: {there} cannot be written")
+        reason = hindrance(folder)
+        if reason is not None:
+            raise UserError(f"--{option} {given[option] or folder}: {reason}")
 
 
 def versions() -> str:

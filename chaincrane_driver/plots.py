@@ -12,6 +12,7 @@ import numpy as np
 
 from .compare import shown
 from .converge import Estimate, Finding, Signal
+from .places import house_matplotlib
 from .scenario import Run, Scenario
 from .tables import Table
 
@@ -50,6 +51,7 @@ Results = dict[str, Table]
 def new_figure(
     rows: int, columns: int, width: float, height: float, **more: Any
 ) -> tuple[Figure, np.ndarray]:
+    house_matplotlib()
     import matplotlib
 
     matplotlib.use("Agg")
