@@ -9,6 +9,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 
 from .compare import Deviation
+from .places import whole_file
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,8 @@ def write_json(path: Path, verdicts: Sequence[Verdict]) -> None:
         }
         for verdict in verdicts
     ]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n")
+    with whole_file(path) as partial:
+        partial.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n")
 
 
 def write_junit(path: Path, verdicts: Sequence[Verdict]) -> None:
@@ -101,8 +102,8 @@ def write_junit(path: Path, verdicts: Sequence[Verdict]) -> None:
                 failure.text = "\n".join(map(verdict.told, verdict.outside))
             SubElement(case, "system-out").text = f"{verdict.what}: {verdict.line()}"
     indent(top)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    ElementTree(top).write(path, encoding="utf-8", xml_declaration=True)
+    with whole_file(path) as partial:
+        ElementTree(top).write(partial, encoding="utf-8", xml_declaration=True)
 
 
 def _counts(verdicts: Sequence[Verdict]) -> dict[str, str]:

@@ -38,7 +38,7 @@ from .errors import UserError, instead
 from .instances import describe
 from .loop import ORDERS
 from .masters import MASTERS, Package
-from .places import hindrance
+from .places import hindrance, whole_file
 from .processes import Timed, progress_bar, simulate_all
 from .scenario import Scenario
 from .ssp import write_ssp
@@ -222,8 +222,8 @@ def command_study(options: argparse.Namespace) -> int:
     results = study.run(options.fmus)
     text = study.report(results)
     path = options.out / "observer_study.md"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
+    with whole_file(path) as partial:
+        partial.write_text(text)
     print(study.answer(results) + "\n")
     written = [path, *study.picture(results, options.out / "observer_study")]
     print("written: " + ", ".join(str(path) for path in written))

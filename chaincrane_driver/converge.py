@@ -21,6 +21,7 @@ from . import shipped
 from .compare import markdown_table, shown
 from .errors import UserError, instead
 from .instances import Instances, describe
+from .places import whole_file
 from .processes import simulate_all
 from .progress import Progress
 from .scenario import Run, Scenario
@@ -404,8 +405,7 @@ def write_csv(path: Path, findings: Sequence[Finding]) -> None:
     """Write all numbers with every digit, a row for each run and signal, in the FMU's units."""
     header = ["run", "signal", "unit", "amplitude", "step_s", "elements"]
     header += [f"{error}_{column}" for error in ("time", "mesh") for column in COLUMNS]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         for finding in findings:

@@ -19,6 +19,7 @@ from .compare import Deviation, Tolerance, deviation
 from .errors import UserError, one_line
 from .grid import all_inputs
 from .instances import describe
+from .places import whole_file
 from .scenario import Run, Scenario
 from .simulate import Job
 from .start_values import check_start_values
@@ -102,24 +103,26 @@ def export(one: Scenario, run: Run, fmu: Path, dest: Path) -> list[Path]:
     folders = []
     for platform in platforms:
         folder = dest.joinpath("fmus", "2.0", "cs", platform, "chaincrane", version, name)
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(fmu, folder / f"{name}.fmu")
-        _write(
-            folder / f"{name}_in.csv", all_inputs(inputs, job.inputs, dict.fromkeys(inputs, 0.0))
-        )
-        _write(folder / f"{name}_ref.csv", reference[["time", *signals]])
-        lines = [f"{key}, {value!r}\n" for key, value in options.items()]
-        (folder / f"{name}_ref.opt").write_text("".join(lines))
-        (folder / "README.md").write_text(readme)
+        with whole_file(folder / f"{name}.fmu") as partial:
+            shutil.copyfile(fmu, partial)
+        files = {
+            f"{name}_in.csv": _csv(all_inputs(inputs, job.inputs, dict.fromkeys(inputs, 0.0))),
+            f"{name}_ref.csv": _csv(reference[["time", *signals]]),
+            f"{name}_ref.opt": "".join(f"{key}, {value!r}\n" for key, value in options.items()),
+            "README.md": readme,
+        }
+        for file, text in files.items():
+            with whole_file(folder / file) as partial:
+                partial.write_text(text)
         folders.append(folder)
     return folders
 
 
-def _write(path: Path, table: Table) -> None:
+def _csv(table: Table) -> str:
     """A table as the rules want it: names in double quotes, numbers without."""
     lines = [",".join(f'"{name}"' for name in column_names(table))]
     lines += [",".join(f"{value:.12g}" for value in row) for row in table.tolist()]
-    path.write_text("\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
 def job_of(folder: Path) -> Job:

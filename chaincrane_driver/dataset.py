@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from .errors import UserError
 from .journal import Journal
+from .places import whole_file
 from .subjects import Subject
 from .vary import Design
 
@@ -129,7 +130,8 @@ def write(
             reason = error.strerror or " ".join(str(error).split())
             raise UserError(f"{files.netcdf}: cannot be written: {reason}") from error
     text = json.dumps(dict(made_of), indent=1)
-    files.made_of.write_text(text + "\n")
+    with whole_file(files.made_of) as partial:
+        partial.write_text(text + "\n")
 
 
 def require_all() -> None:
@@ -149,8 +151,7 @@ def has_netcdf() -> bool:
 
 def write_csv(path: Path, subject: Subject, design: Design, results: Results) -> None:
     """A row for each run of each case: its values, its metrics, its message. Raises OSError."""
-    partial = path.with_suffix(".writing")
-    with partial.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         names = [metric.name for metric in subject.metrics]
         writer.writerow([*design.names, RUN, *names, MESSAGE])
@@ -160,7 +161,6 @@ def write_csv(path: Path, subject: Subject, design: Design, results: Results) ->
                 row = ["" if np.isnan(one) else repr(float(one)) for one in metrics]
                 message = results.messages[number, place]
                 writer.writerow([*(case[name] for name in design.names), run, *row, message])
-    partial.replace(path)
 
 
 def read_csv(path: Path, subject: Subject, design: Design) -> Results:

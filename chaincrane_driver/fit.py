@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from .compare import markdown_table
 from .errors import UserError, instead
 from .instances import describe
+from .places import whole_file
 from .processes import Failure, Workers, cores
 from .simulate import Job
 from .tables import Table
@@ -434,8 +435,7 @@ def report(found: Fit) -> str:
 
 def write_csv(path: Path, found: Fit) -> None:
     """Values and standard errors with every digit. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["parameter", "unit", "value", "standard_error"])
         for one, value, error in zip(found.parameters, found.values, found.errors, strict=True):

@@ -7,6 +7,7 @@ pythonfmu's wrapper leaks some kilobytes at each instantiation.
 from __future__ import annotations
 
 import shutil
+import tempfile
 from collections.abc import Iterable, Mapping
 from ctypes import byref
 from dataclasses import dataclass
@@ -175,7 +176,11 @@ class Instances:
         if description.coSimulation is None or description.fmiVersion != "2.0":
             raise UserError(f"{fmu}: is not an FMI 2.0 co-simulation FMU")
         self.log.said.clear()
-        folder = extract(str(fmu))
+        try:
+            folder = extract(str(fmu))
+        except OSError as error:
+            where = f"cannot be unpacked into {tempfile.gettempdir()}"
+            raise UserError(f"{fmu}: {where}: {error.strerror or error}") from error
         try:
             slave = FMU2Slave(
                 guid=description.guid,

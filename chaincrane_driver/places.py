@@ -1,11 +1,31 @@
-"""Folders to write in: can they be?"""
+"""Files that are whole or not there, and folders: can they be written?"""
 
 from __future__ import annotations
 
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A file to write, which takes the place of ``path`` once it is whole; its folder is made.
+
+    What stops the writing, a full disk or Ctrl-C, leaves ``path`` as it was. Raises OSError with
+    the name of ``path``.
+    """
+    partial = path.with_name(f"{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        partial.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def hindrance(folder: Path) -> str | None:

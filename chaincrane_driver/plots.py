@@ -12,7 +12,7 @@ import numpy as np
 
 from .compare import shown
 from .converge import Estimate, Finding, Signal
-from .places import house_matplotlib
+from .places import house_matplotlib, whole_file
 from .scenario import Run, Scenario
 from .tables import Table
 
@@ -86,13 +86,16 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write a figure as PNG, SVG and PDF, the last two the same bytes each time; the paths."""
     import matplotlib.pyplot as plt
 
-    stem.parent.mkdir(parents=True, exist_ok=True)
-    paths = [stem.with_suffix(f".{kind}") for kind in ("png", "svg", "pdf")]
-    figure.savefig(paths[0], dpi=300)
-    figure.savefig(paths[1], metadata={"Date": None})
-    figure.savefig(paths[2], metadata={"CreationDate": None})
+    kinds: dict[str, dict[str, Any]] = {
+        "png": {"dpi": 300},
+        "svg": {"metadata": {"Date": None}},
+        "pdf": {"metadata": {"CreationDate": None}},
+    }
+    for kind, more in kinds.items():
+        with whole_file(stem.with_suffix(f".{kind}")) as partial:
+            figure.savefig(partial, format=kind, **more)
     plt.close(figure)
-    return paths
+    return [stem.with_suffix(f".{kind}") for kind in kinds]
 
 
 def quantity(signal: str, unit: str) -> str:

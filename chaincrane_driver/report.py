@@ -21,6 +21,7 @@ from .antisway import Metrics, Setup, measure
 from .compare import comparison_rows, shown
 from .instances import describe
 from .loop import CRANE, OBSERVER, WATCHED, Loop, column
+from .places import whole_file
 from .scenario import Scenario
 from .tables import Table
 
@@ -71,8 +72,8 @@ class Report:
             settings=_html_table(("what", "value"), self.settings),
             data=json.dumps(self._data(), separators=(",", ":")).replace("<", "\\u003c"),
         )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        with whole_file(path) as partial:
+            partial.write_text(text, encoding="utf-8")
         return path
 
     def _data(self) -> dict[str, Any]:

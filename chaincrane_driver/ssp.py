@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from .instances import describe
 from .loop import Loop
+from .places import whole_file
 from .start_values import check_start_values
 
 SSP = "http://ssp-standard.org/SSP1/"
@@ -24,8 +25,7 @@ def write_ssp(path: Path, loop: Loop) -> Path:
     """Write ``loop`` as an SSP package; its bytes depend on the loop and its FMUs alone."""
     entries = {"SystemStructure.ssd": structure(path.stem, loop)}
     entries |= {f"resources/{fmu.name}": fmu.read_bytes() for fmu in loop.fmus.values()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(path, "w") as archive:
+    with whole_file(path) as partial, zipfile.ZipFile(partial, "w") as archive:
         for name, content in sorted(entries.items()):
             info = zipfile.ZipInfo(name, EARLIEST)
             info.compress_type = zipfile.ZIP_DEFLATED

@@ -245,9 +245,10 @@ def _compiled() -> Path:
 
         place.parent.mkdir(parents=True, exist_ok=True)  # else it would be compiled each time
         made = for_host()
-        with tempfile.NamedTemporaryFile(dir=place.parent, delete=False) as file:
-            file.write(made)
-        os.replace(file.name, place)  # whole, whoever else makes it
+        with tempfile.TemporaryDirectory(dir=place.parent) as folder:
+            file = Path(folder, place.name)
+            file.write_bytes(made)
+            file.replace(place)  # whole, whoever else makes it
     return place
 
 

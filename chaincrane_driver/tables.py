@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import UserError
+from .places import whole_file
 
 Table = NDArray[np.void]  # a structured array, its first column the time
 
@@ -61,5 +62,5 @@ def write_table(path: Path, table: Table, digits: int = 16) -> None:
     columns = column_names(table)
     lines = [",".join(columns)]
     lines += [",".join(f"{value:.{digits}g}" for value in row) for row in table.tolist()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n")
+    with whole_file(path) as partial:
+        partial.write_text("\n".join(lines) + "\n")

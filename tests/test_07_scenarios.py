@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from chaincrane_driver import cli, processes, scenario, stale
+from chaincrane_driver import cli, places, processes, scenario, stale
 from chaincrane_driver.compare import check, difference, reference_rows
 from chaincrane_driver.errors import UserError
 from chaincrane_driver.processes import simulate_all
@@ -438,6 +438,49 @@ def test_where_it_cannot_write_is_said_before_the_work(tmp_path: Path, command: 
     file.touch()
     name = command.rpartition(" ")[2]
     one_line_error([*command.split(), file / "more"], f"{name} {file}", f"{file} is not a folder")
+
+
+def test_a_full_disk_leaves_nothing_half_written(fmus: Path, tmp_path: Path) -> None:
+    """No file may be larger than 450 kB: an FMU can be unpacked, a result is larger."""
+    resource = pytest.importorskip("resource", reason="needs a limit of Unix")
+    code = f"""
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (450 * 1024, {resource.RLIM_INFINITY}))
+from chaincrane_driver.cli import main
+sys.exit(main({["run", "payload_push", "--fmus", str(fmus), "--out", str(tmp_path)]!r}))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.endswith("payload_push/nonlinear.csv: File too large")
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_what_stops_a_writing_leaves_the_file_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("before")
+    for error in (KeyboardInterrupt(), OSError(28, "No space left on device")):
+        with pytest.raises(type(error)), places.whole_file(file) as partial:
+            partial.write_text("half of wh")
+            raise error
+        assert [path.read_text() for path in tmp_path.iterdir()] == ["before"]
+    with pytest.raises(OSError, match=r"No space .*/file'"), places.whole_file(file):
+        raise OSError(28, "No space left on device")
+
+
+def test_every_file_is_written_whole() -> None:
+    """What the driver writes it writes to the partial file of whole_file, or is named here."""
+    kept_otherwise = {
+        "processes.py": 1,  # what a worker says, in the temporary folder
+        "stepper.py": 1,  # a temporary file of its own, renamed, as others may make it too
+    }
+    writing = r"(\w+)\.(?:write_text|write_bytes|open\(\"w|write\(made\))"
+    found: dict[str, int] = {}
+    for module in (ROOT / "chaincrane_driver").glob("*.py"):
+        for line in module.read_text().splitlines():
+            if re.search(writing, line) and not re.search(r"\bpartial\.", line):
+                found[module.name] = found.get(module.name, 0) + 1
+    assert found == kept_otherwise
 
 
 def test_a_sweep_that_gives_nothing_fails(fmus: Path, tmp_path: Path) -> None:
