@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import cycle
 from math import ceil
 from pathlib import Path
@@ -12,7 +13,9 @@ import numpy as np
 
 from .compare import shown
 from .converge import Estimate, Finding, Signal
+from .instances import Instances
 from .places import house_matplotlib, whole_file
+from .progress import Progress
 from .scenario import Run, Scenario
 from .tables import Table
 
@@ -46,6 +49,25 @@ SHAPE_POINTS = 10
 SHAPE_TIMES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.08, 1.16, 1.24, 1.44, 2.0, 2.1, 2.2, 2.3)
 
 Results = dict[str, Table]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure as a worker's work: to draw the paper's takes ten times as long as to run them."""
+
+    draw: Callable[..., list[Path]]  # a function of this module, its last argument the stem
+    panels: list[tuple[str, Scenario, Results]]
+    what: Any  # its second argument
+    stem: Path
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return str(self.stem)
+
+    def run(self, _instances: Instances, _progress: Progress | None = None) -> list[Path]:
+        """Draw it; the files' paths."""
+        return self.draw(self.panels, self.what, self.stem)
 
 
 def new_figure(
@@ -94,6 +116,7 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     for kind, more in kinds.items():
         with whole_file(stem.with_suffix(f".{kind}")) as partial:
             figure.savefig(partial, format=kind, **more)
+        figure.set_layout_engine("none")  # it stays as it is: to lay out anew takes a third of all
     plt.close(figure)
     return [stem.with_suffix(f".{kind}") for kind in kinds]
 

@@ -31,6 +31,7 @@ SLOW = 1.0  # s, work that takes longer than this gets a progress bar
 MINUTE = 60.0  # s, from line to line where there is no terminal
 BATCH_TIME = 0.1  # s, that a batch of work should take at least
 LISTEN = 0.5  # s
+ONE_THREAD = {"OMP_NUM_THREADS": "1"}  # a worker a core: no threads of BLAS beside them
 STILLBORN = 2  # workers that may die before they are ready, one after the other
 MOST_AT_ONCE = 256  # pieces of work in a batch
 
@@ -78,6 +79,7 @@ class Worker:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=words,
+                env={**ONE_THREAD, **os.environ},
             )
         self.sent: deque[Numbered] = deque()
         self.ready = False
@@ -253,6 +255,24 @@ class Workers:
 def _alone(one: Numbered) -> bool:
     """Is this work to have a worker for itself?"""
     return bool(getattr(one[1], "alone", False))
+
+
+def do_all(work: Sequence[Work], label: str) -> list[Any]:
+    """Do work in a few workers, with a progress bar; what each piece gave, in their order.
+
+    Raises UserError for the first that fails.
+    """
+    results: dict[int, Any] = {}
+    with (
+        progress_bar(total=len(work), desc=label) as bar,
+        Workers(min(cores(), len(work))) as workers,
+    ):
+        for number, result in workers.run(enumerate(work)):
+            if isinstance(result, Failure):
+                raise UserError(result)
+            results[number] = result
+            bar.update()
+    return [results[number] for number in range(len(work))]
 
 
 def simulate_all(jobs: Sequence[Timed], label: str) -> list[Table]:
