@@ -27,6 +27,7 @@ CRANE, OBSERVER, ANTISWAY = "crane", "observer", "antisway"
 ORDERS = ("parallel", "sequential")
 SEPARATOR = "::"  # between part and variable, in a column's name
 
+MODE_SHARES = tuple(f"mode.{name}[{i}]" for name in ("x_rel", "vx_rel") for i in range(1, 5))
 Connection = tuple[str, str, str, str]  # from part, its output, to part, its input
 CONNECTIONS: tuple[Connection, ...] = (
     (ANTISWAY, "trolley.a_cmd", CRANE, "trolley.a_cmd"),
@@ -35,10 +36,7 @@ CONNECTIONS: tuple[Connection, ...] = (
     (CRANE, "chain.top_angle", OBSERVER, "rope.top_angle"),
     (CRANE, "trolley.x", ANTISWAY, "trolley.x"),
     (CRANE, "trolley.v", ANTISWAY, "trolley.v"),
-    (OBSERVER, "mode.x_rel[1]", ANTISWAY, "mode.x_rel[1]"),
-    (OBSERVER, "mode.x_rel[2]", ANTISWAY, "mode.x_rel[2]"),
-    (OBSERVER, "mode.vx_rel[1]", ANTISWAY, "mode.vx_rel[1]"),
-    (OBSERVER, "mode.vx_rel[2]", ANTISWAY, "mode.vx_rel[2]"),
+    *((OBSERVER, name, ANTISWAY, name) for name in MODE_SHARES),
     (OBSERVER, "wind.fx", ANTISWAY, "wind.fx"),
 )
 WATCHED = {

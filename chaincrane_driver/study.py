@@ -323,7 +323,7 @@ def answer(results: Results) -> str:
             parts.append(f"{model} {spread(more, digits=1)} mm")
         lines.append(
             f"- How few elements serve, {label} payload, mass and length believed wrongly: residual"
-            f" sway beyond that of three string modes: {', '.join(parts)}."
+            f" sway beyond that of the string's own modes: {', '.join(parts)}."
         )
     pushed = {row: found[0].settling - PUSH[1] for row, found in results.found["pushes"].items()}
     for label in PAYLOADS:

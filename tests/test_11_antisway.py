@@ -22,7 +22,12 @@ from chaincrane.control import plan, stability
 from chaincrane.control.antisway import METHODS, AntiSway, AntiSwayInput, AntiSwaySettings, Scales
 from chaincrane.control.modes import StringModes
 from chaincrane.control.move import Limits, Move
-from chaincrane.control.observer import CraneObserver, ObserverInput, ObserverSettings
+from chaincrane.control.observer import (
+    AssumedNoise,
+    CraneObserver,
+    ObserverInput,
+    ObserverSettings,
+)
 from chaincrane.control.regulator import Weights, design_model, discretised, regulator
 from chaincrane.control.shapers import trapezoid, zv_shaped, zvd_shaped
 from chaincrane.errors import BadValue
@@ -249,7 +254,7 @@ def test_limits_hold_exactly_whatever_comes_in(
 def test_the_closed_loop_matrix_is_the_loop(mass: float, sensor: str) -> None:
     """The matrix's step against observer, controller and linear crane, stepped; to round-off.
 
-    Far from calm, so that all is fed back, and small, so that the rope's tangent is its angle.
+    Small, so that the rope's tangent is its angle.
     """
     crane, h = Crane(payload=Payload(mass)), 0.01
     own: dict[str, Any] = {"model": "chain", "elements": 2}
@@ -317,7 +322,7 @@ def test_fmpy_validates(fmus: Path) -> None:
 BAD = [
     ({"antisway.method": "magic"}, "antisway.method = 'magic' is not allowed: one of planned"),
     ({"antisway.model": "beam"}, "antisway.model = 'beam' is not allowed: one of modes"),
-    ({"antisway.modes": 3}, "antisway.modes = 3 is not allowed: a whole number from 1 to 2"),
+    ({"antisway.modes": 5}, "antisway.modes = 5 is not allowed: a whole number from 1 to 4"),
     ({"limit.velocity": 0.0}, "limit.velocity = 0.0 is not allowed: a finite number above 0"),
     ({"limit.acceleration": -1.0}, "limit.acceleration = -1.0 is not allowed: a finite number"),
     ({"antisway.scale.sway": -1.0}, "antisway.scale.sway = -1.0 is not allowed: a finite number"),
@@ -439,7 +444,7 @@ def test_the_package_is_valid_and_repeatable(fmus: Path, tmp_path: Path) -> None
     assert one.read_bytes() == two.read_bytes()
     system = read_ssd(str(one)).system
     assert {element.name for element in system.elements} == {CRANE, OBSERVER, ANTISWAY}
-    assert len(system.connections) == 11
+    assert len(system.connections) == 15
 
 
 # --- commands and study ------------------------------------------------------------------------
@@ -513,20 +518,28 @@ def test_the_studys_page_is_the_fmus(fmus: Path) -> None:
         assert 1e3 * found.residual == pytest.approx(residual, abs=0.006), case.row
 
 
-def test_the_growth_that_the_observers_page_tells() -> None:
-    """The largest of sensors, payloads and misbeliefs, as its sentence has it."""
-    page = (ROOT / "docs" / "observer.md").read_text()
-    assert "by 0.0018 1/s in the worst" in page
-    worst = 0.0
-    for mass in (HEAVY, LIGHT):
-        believed = Crane(payload=Payload(mass))
-        control = AntiSway(AntiSwaySettings(believed))
-        for sensor in ("camera", "rope"):
-            watch = CraneObserver(ObserverSettings(believed, speed=0.0, sensor=sensor))
-            for length, factor in ((0.8, 0.7), (0.8, 1.3), (0.72, 1.0), (0.88, 1.0)):
-                crane = Crane(Chain(length), Payload(factor * mass))
-                growth = stability.predicted_growth(control, watch, crane, 0.01)
-                worst = max(worst, growth.rate)
-                calm = stability.predicted_growth(control, watch, crane, 0.01, calm=True)
-                assert calm.rate < 1.2e-4
-    assert worst == pytest.approx(0.0018, abs=5e-5)
+@pytest.mark.parametrize("sensor", ["camera", "rope"])
+@pytest.mark.parametrize("mass", [HEAVY, LIGHT], ids=PAYLOADS.keys())
+def test_no_wave_grows_where_mass_or_length_are_believed_wrongly(mass: float, sensor: str) -> None:
+    """By up to 30 % or 10 %: at most 1e-4 1/s, by e in three hours, as the observer's page has it.
+
+    Ten modes of a string without damping; what the loop is held to, not what it just does.
+    """
+    assert "1e-4 1/s" in (ROOT / "docs" / "observer.md").read_text()
+    believed = Crane(payload=Payload(mass))
+    control = AntiSway(AntiSwaySettings(believed))
+    watch = CraneObserver(ObserverSettings(believed, speed=0.0, sensor=sensor))
+    lengths = [(0.8 * factor, 1.0) for factor in (0.9, 0.95, 1.05, 1.1)]
+    for length, factor in [*lengths, *((0.8, factor) for factor in (0.7, 0.85, 1.0, 1.15, 1.3))]:
+        crane = Crane(Chain(length), Payload(factor * mass))
+        growth = stability.predicted_growth(control, watch, crane, 0.01)
+        assert growth.rate < 1e-4, (length, factor, growth)
+
+
+def test_a_filter_sure_of_its_frequencies_makes_a_wave_grow() -> None:
+    """What observer.noise.waves is for: without it mode 2 grows where the payload is lighter."""
+    believed = Crane(payload=Payload(HEAVY))
+    sure = ObserverSettings(believed, speed=0.0, sensor="rope", noise=AssumedNoise(waves=0.0))
+    control, watch = AntiSway(AntiSwaySettings(believed)), CraneObserver(sure)
+    crane = Crane(payload=Payload(0.7 * HEAVY))
+    assert stability.predicted_growth(control, watch, crane, 0.01).rate > 1e-3

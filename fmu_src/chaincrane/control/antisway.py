@@ -54,9 +54,11 @@ PAUSE = 0.25  # periods of mode 1 from a plan to one that a deviation asks for; 
 MOST_ANEW = 4  # times twice
 HASTE = 0.05  # periods of mode 1 from a plan to one for the next target: a target may slide
 # The weights that a crane's size suggests, in A/omega_1^2, A and A omega_1.
-POSITION, SWAY, ACCELERATION, JERK = 2.5, 1.2, 0.5, 0.55
-LEAST_PLANNED, SHARE = 3, 2e-3
-TOLERANCE, DEVIATION, CALM = 0.045, 0.07, 0.02  # of A/omega_1^2
+POSITION, SWAY, ACCELERATION, JERK = 2.5, 1.2, 0.5, 0.45
+SHARE = 2e-3
+SHAPED = 2  # modes of zvd
+MOVED = 2  # modes that a plan takes from an estimate: the others' sway is less than its noise
+TOLERANCE, DEVIATION = 0.045, 0.07  # of A/omega_1^2
 _CACHED = 64
 
 
@@ -123,7 +125,7 @@ class AntiSwaySettings:
     elements: int = elements_choice("antisway")
     modes: int = whole(
         "antisway.modes",
-        2,
+        4,
         (1, SHOWN_MODES),
         "number of modes that planned and lqr feed back, at most those that the model has",
     )
@@ -131,8 +133,8 @@ class AntiSwaySettings:
         "antisway.planned_modes",
         0,
         (0, MAX_MODES),
-        "number of modes that a plan brings to rest, at most those that the model has; 0: three,"
-        " and more where the payload is light beside the chain",
+        "number of modes that a plan brings to rest, at least those that are fed back and at most"
+        " those that the model has; 0: more where the payload is light beside the chain",
     )
     inputs_at: str = choice(
         "antisway.inputs_at",
@@ -162,14 +164,6 @@ class AntiSwaySettings:
         DEVIATION,
         "A/omega_1^2",
     )
-    calm: float = _sized(
-        "calm",
-        "m",
-        "planned: sway in a mode, beside the plan, of which nothing is fed back: less is the"
-        " filter's noise, and what it does not know of the chain",
-        CALM,
-        "A/omega_1^2",
-    )
     lag: float = drive_lag()
     scales: Scales = field(default_factory=Scales)
     limits: Limits = field(default_factory=Limits)
@@ -189,15 +183,23 @@ class AntiSwayInput:
     trolley_v: float = held_input("trolley.v", "m/s", "how fast it goes")
     mode_x_rel_1: float = _share("x_rel", "m", 1)
     mode_x_rel_2: float = _share("x_rel", "m", 2)
+    mode_x_rel_3: float = _share("x_rel", "m", 3)
+    mode_x_rel_4: float = _share("x_rel", "m", 4)
     mode_vx_rel_1: float = _share("vx_rel", "m/s", 1)
     mode_vx_rel_2: float = _share("vx_rel", "m/s", 2)
+    mode_vx_rel_3: float = _share("vx_rel", "m/s", 3)
+    mode_vx_rel_4: float = _share("vx_rel", "m/s", 4)
     wind_fx: float = held_input("wind.fx", "N", "estimated steady force on the payload")
 
     def modes(self, count: int) -> list[float]:
         """Share of payload.x_rel and its rate, m and m/s, of each of the first ``count`` modes."""
-        shares = self.mode_x_rel_1, self.mode_x_rel_2
-        rates = self.mode_vx_rel_1, self.mode_vx_rel_2
-        return [value for pair in zip(shares[:count], rates, strict=False) for value in pair]
+        pairs = (
+            (self.mode_x_rel_1, self.mode_vx_rel_1),
+            (self.mode_x_rel_2, self.mode_vx_rel_2),
+            (self.mode_x_rel_3, self.mode_vx_rel_3),
+            (self.mode_x_rel_4, self.mode_vx_rel_4),
+        )
+        return [value for pair in pairs[:count] for value in pair]
 
 
 @dataclass(frozen=True)
@@ -237,32 +239,34 @@ class AntiSway(ControlPart):
         self.string = design_string(one.crane, one.model, one.elements, MAX_MODES, one.mass_matrix)
         there = len(self.string.modes.omega)
         self.modes = min(one.modes, there)
-        self.planned_modes = min(one.planned_modes or self._worth_planning(), there)
+        self.planned_modes = min(
+            max(one.planned_modes or self._worth_planning(), self.modes), there
+        )
         self.model = plan.Model(
             *design_model(self.string, self.planned_modes, one.lag),
             self.string.modes.omega[: self.planned_modes],
             one.lag,
         )
-        self.weights, self.tolerance, self.deviation, self.calm = self._sizes()
+        self.weights, self.tolerance, self.deviation = self._sizes()
         self.warning: str | None = None  # what a user should be told of this design
         self._designs: dict[float, Designed] = {}
         self._state = Drive()
 
     def _worth_planning(self) -> int:
-        """Modes up to the last one that holds a SHARE of the payload's sway, three at least.
+        """Modes up to the last one that holds a SHARE of the payload's sway.
 
         Of the sway under a steady acceleration, phi_n phi^T b/omega^2, beside mode 1's.
         """
         string = self.string
         held = np.abs(string.end * string.push / string.modes.omega**2)
-        return max(LEAST_PLANNED, int(np.flatnonzero(held >= SHARE * held[0])[-1]) + 1)
+        return int(np.flatnonzero(held >= SHARE * held[0])[-1]) + 1
 
     def notice(self) -> str | None:
         """What a user should be told of this design, once; None: nothing."""
         return self.warning
 
-    def _sizes(self) -> tuple[Weights, float, float, float]:
-        """Weights, tolerance, deviation, calm, SI: as set, or as the crane's size suggests."""
+    def _sizes(self) -> tuple[Weights, float, float]:
+        """Weights, tolerance, deviation, SI: as set, or as the crane's size suggests."""
         one, A = self.settings, self.settings.limits.acceleration
         omega = float(self.string.modes.omega[0])
         length = A / omega**2
@@ -273,8 +277,7 @@ class AntiSway(ControlPart):
             one.scales.jerk or JERK * A * omega,
         )
         tolerance = one.tolerance or TOLERANCE * length
-        deviation = one.deviation or DEVIATION * length
-        return weights, tolerance, deviation, one.calm or CALM * length
+        return weights, tolerance, one.deviation or DEVIATION * length
 
     def design(self, h: float) -> Designed:
         """What belongs to steps of ``h`` s, designed once. Raises BadValue."""
@@ -324,7 +327,7 @@ class AntiSway(ControlPart):
             x[0] = min(max(x[0] - told.target_x, -far), far)
             return state, state.a - h * float(one.K @ np.append(x, state.a))
         state = self._referred(state, one, x, h, told.target_x)
-        off = self._felt(x - self._fed_back(np.array(state.reference)))
+        off = x - self._fed_back(np.array(state.reference))
         before = state.a - state.reference_a
         ahead = state.move.mean(state.time - state.begun, h)
         wanted = ahead + before - h * float(one.K @ np.append(off, before))
@@ -348,15 +351,6 @@ class AntiSway(ControlPart):
         elif self.settings.lag:
             x[-1] = followed(before.follows, before.a, 1.0, self.settings.lag)[1]
         return x
-
-    def _felt(self, off: Array) -> Array:
-        """A deviation of trolley and modes, each mode less its calm part."""
-        felt = off.copy()
-        for mode in range(self.modes):
-            swing = slice(2 + 2 * mode, 4 + 2 * mode)
-            amplitude = hypot(off[2 + 2 * mode], off[3 + 2 * mode] / self.string.modes.omega[mode])
-            felt[swing] *= max(0.0, 1.0 - self.calm / amplitude) if amplitude else 0.0
-        return felt
 
     def _fed_back(self, reference: Array) -> Array:
         """The part of a plan's state that is fed back."""
@@ -390,23 +384,24 @@ class AntiSway(ControlPart):
             return state
 
     def _from_estimate(self, reference: tuple[float, ...] | None, x: Array) -> tuple[float, ...]:
-        """A plan's state from an estimate; modes that are not fed back as the plan has them."""
+        """A plan's state from an estimate; modes beyond MOVED as the plan has them."""
         size = len(self.model.A)
         whole_state = np.zeros(size) if reference is None else np.array(reference)
-        whole_state[: 2 + 2 * self.modes] = x[: 2 + 2 * self.modes]
+        moved = 2 + 2 * min(MOVED, self.modes)
+        whole_state[:moved] = x[:moved]
         if self.settings.lag:
             whole_state[-1] = x[-1]
         return tuple(whole_state.tolist())
 
     def _beside(self, x: Array, reference: tuple[float, ...]) -> float:
-        """Sway beside the plan, m: the amplitudes of the fed back modes."""
+        """Sway beside the plan, m: the amplitudes of the modes that a plan would take over."""
         omega = self.string.modes.omega
         return sum(
             hypot(
                 x[2 + 2 * mode] - reference[2 + 2 * mode],
                 (x[3 + 2 * mode] - reference[3 + 2 * mode]) / omega[mode],
             )
-            for mode in range(self.modes)
+            for mode in range(min(MOVED, self.modes))
         )
 
     def _planned(
@@ -447,7 +442,7 @@ class AntiSway(ControlPart):
         if self.settings.method == "zv":
             return shapers.zv_shaped(move, omega[0], self.string.air)
         if self.settings.method == "zvd":
-            return shapers.zvd_shaped(move, omega[: self.modes], self.string.air)
+            return shapers.zvd_shaped(move, omega[:SHAPED], self.string.air)
         return move
 
     # --- all ----------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ MODELS = ("modes", "chain", "pendulum")
 INPUTS_AT = ("start", "end")
 MAX_DESIGN_ELEMENTS = 50
 MAX_MODES = 10
-SHOWN_MODES = 2
+SHOWN_MODES = 4
 
 
 class ControlPart(WholeSteps):

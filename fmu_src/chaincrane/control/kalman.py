@@ -5,6 +5,10 @@ all of its matrices are well scaled. Disturbances: a force on the payload and an
 trolley, each held from sample to sample. One more state may stand below them: an offset that
 walks slowly, a steady wind on the payload or a bias of the sensor. It is measured by what it shows
 in a sample at rest, and one of the two is all that one sensor can tell: at rest they look alike.
+
+A mode whose frequency is believed wrongly turns away from its estimate, and a filter that is sure
+of it answers with a phase that is anything: fed back, it can feed the mode. So the modes beyond the
+first may wander, each as much as lets the filter follow it within a share of its frequency.
 """
 
 from __future__ import annotations
@@ -40,6 +44,7 @@ class Noise:
     measurement: float  # m or rad, of each sample
     sample_time: float  # s
     walk: float = 0.0  # of the offset, in a sample's unit by the root of a second
+    waves: float = 0.0  # of their frequencies, at which modes beyond the first are followed
 
 
 def transition(string: TautString, t: float) -> Array:
@@ -86,15 +91,32 @@ class Watched:
         """Q: covariance after ``t`` s, from none, of disturbances held over ``interval`` s.
 
         Q = Gamma(t) diag(force^2, acceleration^2) Gamma(t)^T sample_time/interval: held longer,
-        they are weaker, so that their power at low frequency stays. An offset walks: walk^2 t.
+        they are weaker, so that their power at low frequency stays. An offset walks: walk^2 t; and
+        so do the modes beyond the first.
         """
         noise, modal = self.noise, 2 * len(self.string.modes.omega)
         gamma = held_input(self.string, t) * np.array([noise.force, noise.acceleration])
         Q = np.zeros((len(self.c), len(self.c)))
         Q[:modal, :modal] = gamma @ gamma.T * (noise.sample_time / interval)
+        Q[np.arange(modal), np.arange(modal)] += np.tile(self.wandering(), 2) * t
         if self.pull is not None:
             Q[-1, -1] = noise.walk**2 * t
         return Q
+
+    def wandering(self) -> Array:
+        """Intensity q of each mode's own walk in omega eta and eta', (n,).
+
+        None in mode 1 and in those that samples do not correct. A mode that a sample shows by c
+        omega eta is followed at c sqrt(q/(2 r^2 h)) 1/s, r the noise of a sample every h s: at
+        beta omega with q = 2 r^2 h (beta omega/c)^2.
+        """
+        noise, omega = self.noise, self.string.modes.omega
+        q = np.zeros_like(omega)
+        corrected = self.corrected(noise.sample_time)
+        waves = corrected[(corrected > 0) & (corrected < len(omega))]
+        wide = noise.waves * omega[waves] / self.c[waves]
+        q[waves] = 2.0 * noise.measurement**2 * noise.sample_time * wide**2
+        return q
 
     def corrected(self, interval: float) -> Array:
         """Places in the state that samples every ``interval`` s correct, whole numbers.

@@ -51,7 +51,7 @@ from .sensor import Camera, Clock, Rope, Sensor
 
 SENSORS = ("camera", "rope")
 OFFSETS = ("wind", "bias", "none")
-INTENSITY = {"camera": 0.1, "rope": 0.008}  # q^2 h/(r^2 omega_1^3), what the default q is made for
+INTENSITY = {"camera": 0.02, "rope": 0.008}  # q^2 h/(r^2 omega_1^3), what the default q is made for
 PATIENCE = 5  # samples in a row that are left out; the next one is believed
 DEVIATIONS = (
     "payload.x_rel",
@@ -63,6 +63,7 @@ DEVIATIONS = (
     "rope.bias_found",
 )
 SHORTEST = 1e-3  # of sample_time: samples nearer than that share their gain
+NONE_SHOWN = (0.0,) * SHOWN_MODES
 _CACHED = 256  # designs and covariances kept, for hosts that vary their step
 
 
@@ -91,7 +92,7 @@ class AssumedNoise:
         "m/s2",
         0.0,
         "assumed standard deviation q of the outer force on the payload, by its mass; 0: what the"
-        " crane's size and the sensor's noise r suggest, q^2 h/(r^2 omega_1^3) = 0.1 (camera, r in"
+        " crane's size and the sensor's noise r suggest, q^2 h/(r^2 omega_1^3) = 0.02 (camera, r in"
         " m) or 0.008 (rope, r times the length), h the sample time",
         minimum=0.0,
         nominal=0.1,
@@ -104,6 +105,15 @@ class AssumedNoise:
         minimum=0.0,
         nominal=0.1,
     )
+    waves: float = parameter(
+        "observer.noise.waves",
+        None,
+        0.09,
+        "rope sensor: the filter follows each mode beyond the first within that share of its"
+        " frequency, as far as it may be believed wrongly; no effect with a camera, which sees"
+        " little of them",
+        minimum=0.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -115,7 +125,7 @@ class ObserverSettings:
     speed: float = shared(Initial, "speed")
     model: str = model_choice("observer")
     elements: int = elements_choice("observer")
-    modes: int = whole("observer.modes", 3, (1, MAX_MODES), "number of modes of the model modes")
+    modes: int = whole("observer.modes", 4, (1, MAX_MODES), "number of modes of the model modes")
     lag: float = drive_lag()
     sensor: str = choice(
         "observer.sensor",
@@ -282,7 +292,8 @@ class CraneObserver(ControlPart):
         if not by_mass:
             by_mass = sqrt(INTENSITY[one.sensor] * omega**3 / h) * r * size
         walk = r * sqrt(h) * omega / (2.0 * pi * one.periods)
-        return kalman.Noise(by_mass * one.crane.payload.mass, assumed.trolley, r, h, walk)
+        waves = assumed.waves if one.sensor == "rope" else 0.0
+        return kalman.Noise(by_mass * one.crane.payload.mass, assumed.trolley, r, h, walk, waves)
 
     @property
     def estimate(self) -> Estimate:
@@ -499,7 +510,7 @@ class CraneObserver(ControlPart):
         for i, x in enumerate(points[:MATERIAL_POINTS], start=1):
             values[f"chain.x[{i}]"] = trolley.x + x
         for name, modal in (("x_rel", eta), ("vx_rel", rate)):
-            shares = [*(string.end * modal).tolist(), 0.0][:SHOWN_MODES]
+            shares = [*(string.end * modal).tolist(), *NONE_SHOWN][:SHOWN_MODES]
             for i, share in enumerate(shares, start=1):
                 values[f"mode.{name}[{i}]"] = share
         values["wind.fx"] = wind

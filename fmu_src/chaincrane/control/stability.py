@@ -46,12 +46,10 @@ def warning(control: AntiSway, h: float) -> str | None:
     return None
 
 
-def predicted_growth(
-    control: AntiSway, watch: CraneObserver, crane: Crane, h: float, calm: bool = False
-) -> Growth:
+def predicted_growth(control: AntiSway, watch: CraneObserver, crane: Crane, h: float) -> Growth:
     """The loop of a controller and an observer on a crane, in steps and samples of ``h`` s."""
     string = StringModes(discretise(crane, MESH, control.settings.mass_matrix), PLANT_MODES)
-    return slowest(closed_loop(control, watch, string, h, calm), h)
+    return slowest(closed_loop(control, watch, string, h), h)
 
 
 def expected_growth(control: AntiSway, sensor: str, h: float) -> Growth:
@@ -70,13 +68,10 @@ def slowest(loop: Array, h: float) -> Growth:
     return Growth(log(max(abs(largest), 1e-300)) / h, float(abs(np.angle(largest))) / h)
 
 
-def closed_loop(
-    control: AntiSway, watch: CraneObserver, string: StringModes, h: float, calm: bool = False
-) -> Array:
+def closed_loop(control: AntiSway, watch: CraneObserver, string: StringModes, h: float) -> Array:
     """The matrix of one step of ``h`` s: z of the plant, trolley, estimate, acceleration.
 
-    Plant and estimate in z = [omega eta; eta'] (:mod:`kalman`); the drive's lag is left out. The
-    modes are fed back as they are far from calm; ``calm``: not at all.
+    Plant and estimate in z = [omega eta; eta'] (:mod:`kalman`); the drive's lag is left out.
     """
     rope = watch.settings.sensor == "rope"
     omega, n = string.modes.omega, len(string.modes.omega)
@@ -118,8 +113,6 @@ def closed_loop(
         told[q, size - 2] -= own.end[mode] ** 2 / own.modes.omega[mode] ** 2 * wind
     ahead = one.Ad @ told
     ahead[:, a] += one.Bd[:, 0]
-    if calm:
-        ahead[2 : 2 + 2 * control.modes] = 0.0
     loop[a] = -h * one.K[:-1] @ ahead
     loop[a, a] += 1.0 - h * one.K[-1]
     return loop
