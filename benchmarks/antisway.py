@@ -3,7 +3,7 @@
     python benchmarks/antisway.py                 all parts, worst of 10 seeds
     python benchmarks/antisway.py moves --seeds 3
 
-Parts: moves, lengths, estimates, pushes, winds, lags, long, eigenvalues. The parts run in this
+Parts: moves, lengths, estimates, pushes, winds, lags, long, sizes, eigenvalues. They run in this
 process (no FMU), the crane in C, side by side in steps of 10 ms, as in the SSP package.
 """
 
@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache
-from math import radians
+from itertools import islice
+from math import radians, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from chaincrane.control import stability
 from chaincrane.control.antisway import AntiSway, AntiSwayInput, AntiSwaySettings
 from chaincrane.control.design import SHOWN_MODES
 from chaincrane.control.drive import followed
+from chaincrane.control.move import Limits
 from chaincrane.control.observer import CraneObserver, ObserverInput, ObserverSettings
 from chaincrane.control.sensor import Camera, Clock, Rope
 from chaincrane.plant.command import Command
@@ -62,15 +64,26 @@ class Run:
     lag: float = 0.0  # s, of the drive
     told_lag: bool = True
     observer: dict[str, Any] = field(default_factory=dict)
+    scale: float = 1.0  # of the lab crane: lengths so, masses by its square, times by its root
+    ratio: float | None = None  # payload by chain; None: the lab crane's payload
+
+    @property
+    def payload_mass(self) -> float:
+        """That is believed, kg."""
+        mass = PAYLOADS[self.payload] if self.ratio is None else self.ratio * Chain().mass
+        return mass * self.scale**2
 
     def believed(self) -> Crane:
         """What observer and controller believe."""
-        return Crane(payload=Payload(PAYLOADS[self.payload]))
+        lab, scale = Chain(), self.scale
+        chain = Chain(scale * lab.length, scale**2 * lab.mass, scale**2 * lab.EA)
+        return Crane(chain, Payload(self.payload_mass))
 
     def crane(self) -> Crane:
         """The crane."""
-        chain = Chain(length=0.8 * self.length)
-        return Crane(chain, Payload(self.mass * PAYLOADS[self.payload]))
+        one = self.believed()
+        chain = replace(one.chain, length=self.length * one.chain.length)
+        return Crane(chain, Payload(self.mass * self.payload_mass))
 
 
 @cache
@@ -90,10 +103,15 @@ def shares(guess: dict[str, float]) -> dict[str, float]:
 
 def simulate(run: Run) -> np.ndarray:
     """Columns time, trolley.v, payload.x, sway, middle, both estimated, command; a row a step."""
-    crane = NativeCrane(run.crane(), Initial(0.0), Numerics(elements=40, max_step=0.002), library())
+    crane = NativeCrane(
+        run.crane(),
+        Initial(0.0),
+        Numerics(elements=40, max_step=0.002 * sqrt(run.scale)),
+        library(),
+    )
     bias = BIAS[run.sensor] if run.bias else 0.0
     sensors: dict[str, Any] = {
-        "camera": Camera(NOISE["camera"], bias),
+        "camera": Camera(run.scale * NOISE["camera"], bias),
         "rope": Rope(NOISE["rope"], bias),
     }
     lag = run.lag if run.told_lag else 0.0
@@ -108,7 +126,8 @@ def simulate(run: Run) -> np.ndarray:
             **run.observer,
         )
     )
-    control = AntiSway(AntiSwaySettings(run.believed(), lag=lag))
+    limits = Limits(0.5 * sqrt(run.scale))
+    control = AntiSway(AntiSwaySettings(run.believed(), lag=lag, limits=limits))
     a, follows, rows = 0.0, 0.0, []
     for number in range(round(run.stop / H) + 1):
         time, seen, guess = number * H, crane.outputs(), watch.outputs()
@@ -132,7 +151,7 @@ def simulate(run: Run) -> np.ndarray:
         )
         force = run.wind
         if run.pushed and PUSH[0] <= time < PUSH[1] - 1e-9:
-            force += PUSH[2] * PAYLOADS[run.payload]
+            force += PUSH[2] * run.payload_mass
         moved, follows = followed(follows, a, H, run.lag)
         crane.step(H, Command(trolley_a_cmd=moved, payload_fx=force))
         watch.step(
@@ -151,7 +170,7 @@ def simulate(run: Run) -> np.ndarray:
 def measured(run: Run) -> dict[str, float]:
     """Settling in s, lengths in mm, velocity and acceleration."""
     time, v, x, sway, middle, sway_guess, middle_guess, a = simulate(run).T
-    outside = np.flatnonzero(np.abs(x - run.target) > 5e-3)
+    outside = np.flatnonzero(np.abs(x - run.target) > 5e-3 * run.scale)
     last = int(outside[-1]) if len(outside) else -1
     late, moving = time >= time[-1] - 5.0, time <= 3.0
     rms: Callable[[np.ndarray], float] = lambda gap: float(1e3 * np.sqrt(np.mean(gap**2)))  # noqa: E731
@@ -229,6 +248,16 @@ def long() -> Iterator[Named]:
             yield f"300 s, length x {length:g}, mass x {mass:g}", one
 
 
+def sizes() -> Iterator[Named]:
+    """Ten minutes of cranes of other sizes and payloads, defaults untouched."""
+    for length in (0.3, 0.8, 10.0, 50.0):
+        for ratio in (0.05, 1.0, 50.0):
+            scale = length / Chain().length
+            for sensor in NOISE:
+                one = Run("", sensor, scale, 600.0, scale=scale, ratio=ratio)
+                yield f"{length:g} m of chain, payload {ratio:g} times as heavy", one
+
+
 def eigenvalues() -> None:
     """The largest growth of the closed loop, 1/s."""
     for payload, sensor in each():
@@ -243,7 +272,7 @@ def eigenvalues() -> None:
             )
 
 
-PARTS = {one.__name__: one for one in (moves, lengths, estimates, pushes, winds, lags, long)}
+PARTS = {one.__name__: one for one in (moves, lengths, estimates, pushes, winds, lags, long, sizes)}
 
 
 def main() -> None:
@@ -261,11 +290,11 @@ def main() -> None:
                 eigenvalues()
                 continue
             cases = list(PARTS[part]())
-            seeds = 1 if part == "long" else options.seeds
+            seeds = 1 if part in ("long", "sizes") else options.seeds
             runs = [replace(run, seed=1 + seed) for _, run in cases for seed in range(seeds)]
-            found = list(pool.map(measured, runs))
-            for place, (name, run) in enumerate(cases):
-                some = found[place * seeds : (place + 1) * seeds]
+            found = pool.map(measured, runs)
+            for name, run in cases:
+                some = list(islice(found, seeds))
                 worst = {key: max(one[key] for one in some) for key in some[0]}
                 words = ", ".join(f"{key} {value:.3g}" for key, value in worst.items())
                 print(f"{run.payload} {run.sensor}, {name}: {words}", flush=True)
