@@ -89,7 +89,8 @@ class Run:
 @cache
 def library() -> Any:
     """The nonlinear crane in C, compiled for this machine."""
-    return load_library(str(kernel_for_host(Path(tempfile.mkdtemp()))))
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        return load_library(str(kernel_for_host(Path(folder))))
 
 
 def shares(guess: dict[str, float]) -> dict[str, float]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+from weakref import finalize
 
 from fmpy import extract, read_model_description
 from fmpy.fmi1 import FMICallException
@@ -193,7 +194,9 @@ class Instances:
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(f"{fmu}: {self.log.reason((name, one_line(error)))[1]}") from error
         variables = {variable.name: variable for variable in description.modelVariables}
-        return Instance(fmu, name, description, variables, folder, slave)
+        instance = Instance(fmu, name, description, variables, folder, slave)
+        finalize(instance, shutil.rmtree, folder, ignore_errors=True)  # at the latest when all ends
+        return instance
 
     def failed(self, instance: Instance, error: FMICallException) -> tuple[str, str]:
         """Which instance is to blame for a failed call, and why, in the FMU's words.

@@ -3,6 +3,8 @@
 Beside crane_nl.fmu: python controller.py. The crane starts at rest only if it is told to.
 """
 
+from tempfile import TemporaryDirectory
+
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 
@@ -10,9 +12,10 @@ STEP, STOP, TARGET = 0.01, 10.0, 1.0  # s, s, m
 
 description = read_model_description("crane_nl.fmu")
 place = {variable.name: variable.valueReference for variable in description.modelVariables}
+folder = TemporaryDirectory()
 crane = FMU2Slave(
     guid=description.guid,
-    unzipDirectory=extract("crane_nl.fmu"),
+    unzipDirectory=extract("crane_nl.fmu", folder.name),
     modelIdentifier=description.coSimulation.modelIdentifier,
 )
 crane.instantiate()
@@ -33,3 +36,4 @@ for number in range(round(STOP / STEP)):
 print(f"after {STOP:g} s: trolley at {x:.3f} m, sway {1e3 * sway:.1f} mm")
 crane.terminate()
 crane.freeInstance()
+folder.cleanup()

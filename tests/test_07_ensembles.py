@@ -55,6 +55,16 @@ def short(job: Job, stop_time: float = 0.1) -> Job:
     return replace(job, stop_time=stop_time)
 
 
+def test_a_process_that_runs_fmus_leaves_no_folder(fmus: Path, tmp_path: Path) -> None:
+    """Its own, without a worker: what was unpacked goes at its end, whatever that is."""
+    code = "import sys\nfrom chaincrane_driver.instances import Instances\n"
+    code += f"Instances().get(__import__('pathlib').Path({str(fmus / 'crane_lin.fmu')!r}))\n"
+    for end in ("", "raise KeyboardInterrupt"):
+        environment = {**os.environ, "TMPDIR": str(tmp_path)}
+        subprocess.run([sys.executable, "-c", code + end], env=environment, capture_output=True)
+        assert not list(tmp_path.iterdir())
+
+
 # --- one run ------------------------------------------------------------------------------------
 
 

@@ -40,10 +40,12 @@ def test_it_runs(name: str, fmus: Path, tmp_path: Path) -> None:
         shutil.copy(fmu, tmp_path)
     source = EXAMPLES / f"{name}.py"
     assert len(source.read_text().splitlines()) <= 45
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
     done = subprocess.run(
         [sys.executable, "-W", "error", str(source)],
         cwd=tmp_path,
-        env={**os.environ, "MPLBACKEND": "Agg"},
+        env={**os.environ, "MPLBACKEND": "Agg", "TMPDIR": str(temporary)},
         capture_output=True,
         text=True,
         timeout=120,
@@ -52,4 +54,5 @@ def test_it_runs(name: str, fmus: Path, tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
     assert re.search(said, done.stdout), done.stdout
     assert "arning" not in done.stdout  # FMPy prints its own
+    assert not list(temporary.iterdir())  # no litter
     assert file is None or (tmp_path / file).stat().st_size > 5000
