@@ -31,6 +31,11 @@ def commands() -> list[str]:
     return [block.strip() for block in re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)]
 
 
+def test_the_readme_is_short() -> None:
+    """About 900 words, tables and code included, their rules not."""
+    assert len(re.sub(r"\||-{3,}", "", README).split()) <= 950
+
+
 def test_there_are_two_commands_and_ci_runs_the_second() -> None:
     first, second = commands()
     assert first.endswith("build_fmu.py && .venv/bin/chaincrane figures")
