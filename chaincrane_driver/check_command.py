@@ -173,6 +173,13 @@ def command_export(options: argparse.Namespace) -> int:
     return 0 if written else 1
 
 
+def add_scenario(parser: argparse.ArgumentParser, count: str | None = None) -> None:
+    """The argument that says which scenario; ``count``: as argparse's nargs."""
+    text = "a scenario's folder, or the name of one of ours"
+    text += " (all of --scenarios)" if count == "*" else ""
+    parser.add_argument("scenario", type=Path, nargs=count, help=text)
+
+
 def add_run(parser: argparse.ArgumentParser) -> None:
     """The option that chooses among a scenario's runs."""
     parser.add_argument(
@@ -182,8 +189,10 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 def add_check_options(check: argparse.ArgumentParser) -> None:
     """The options of chaincrane check."""
-    check.add_argument("scenario", type=Path, nargs="*", help="scenario folders (all)")
-    check.add_argument("--fmu", type=Path, help="check this FMU, which has the same interface")
+    add_scenario(check, "*")
+    check.add_argument(
+        "--fmu", type=Path, metavar="FILE", help="check this FMU, which has the same interface"
+    )
     check.add_argument(
         "--model",
         metavar="NAME",
@@ -207,8 +216,8 @@ def add_check_options(check: argparse.ArgumentParser) -> None:
 
 def add_export_options(exporting: argparse.ArgumentParser) -> None:
     """The options of chaincrane export."""
-    exporting.add_argument(
-        "scenario", type=Path, nargs="+", help="a scenario's folder, or the name of one of ours"
-    )
+    add_scenario(exporting, "+")
     add_run(exporting)
-    exporting.add_argument("--out", type=Path, default=Path("crosscheck"), help="(crosscheck)")
+    exporting.add_argument(
+        "--out", type=Path, default=Path("crosscheck"), metavar="DIR", help="folder (crosscheck)"
+    )

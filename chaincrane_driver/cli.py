@@ -1,4 +1,4 @@
-"""The command line: chaincrane run, converge, figures, check, antisway, sweep, fit, study."""
+"""The command line, chaincrane: its commands, in the order of its help."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import metadata
+from inspect import getdoc
 from pathlib import Path
 from typing import NoReturn
 
@@ -31,6 +32,7 @@ from .check_command import (
     add_check_options,
     add_export_options,
     add_run,
+    add_scenario,
     command_check,
     command_export,
 )
@@ -245,86 +247,8 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"chaincrane: {message}; see {self.prog} --help\n")
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line's grammar."""
-    top = Parser(
-        prog="chaincrane",
-        description="Drive the cranes' FMUs with FMPy: compare, draw, check.",
-        epilog="examples:\n  chaincrane run scenarios/paper_heavy\n  chaincrane figures\n"
-        "  chaincrane check --fmu some_other_crane.fmu --model crane_nl",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    top.add_argument("--version", action="version", version=versions())
-    commands = top.add_subparsers(metavar="COMMAND", required=True)
-    commands.add_parser("build", help="Build the FMUs, or copy those that came.", add_help=False)
-
-    def command(name: str, action: object, example: str) -> argparse.ArgumentParser:
-        text = (action.__doc__ or "").strip()
-        sub = commands.add_parser(
-            name,
-            help=text.splitlines()[0],
-            description=text,
-            epilog=f"example: {example}",
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        sub.set_defaults(action=action)
-        sub.add_argument(
-            "--fmus",
-            type=Path,
-            default=shipped.WORKING_FOLDER,
-            metavar="DIR",
-            help="where the FMUs are (here; one that is not, where chaincrane came with it)",
-        )
-        return sub
-
-    def scenarios(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument(
-            "--scenarios",
-            type=Path,
-            default=shipped.scenarios(),
-            metavar="DIR",
-            help="where the scenarios are (scenarios; if there are none, chaincrane's own)",
-        )
-
-    run = command("run", command_run, "chaincrane run scenarios/paper_heavy")
-    run.add_argument(
-        "scenario", type=Path, nargs="+", help="a scenario's folder, or the name of one of ours"
-    )
-    run.add_argument("--out", type=Path, default=Path("results"), help="output folder (results)")
-
-    converging = command(
-        "converge", command_converge, "chaincrane converge scenarios/paper_heavy --run nonlinear"
-    )
-    converging.add_argument("scenario", type=Path, help="the scenario's folder")
-    add_run(converging)
-    converging.add_argument(
-        "--signals",
-        type=lambda text: tuple(filter(None, text.split(","))),
-        default=(),
-        metavar="NAME,NAME",
-        help="Real outputs to judge and to draw (what the scenario looks at is drawn; judged too:"
-        f" {', '.join(converge.BESIDES)})",
-    )
-    converging.add_argument(
-        "--out", type=Path, default=Path("results"), metavar="DIR", help="output folder (results)"
-    )
-
-    add_export_options(
-        command("export", command_export, "chaincrane export paper_heavy --out crosscheck")
-    )
-
-    reporting = command("report", command_report, "chaincrane report scenarios/paper_light")
-    reporting.add_argument(
-        "scenario", type=Path, nargs="+", help="a scenario's folder, or the name of one of ours"
-    )
-    add_run(reporting)
-    reporting.add_argument("--out", type=Path, default=Path("results"), help="folder (results)")
-
-    figures = command("figures", command_figures, "chaincrane figures --out figures")
-    scenarios(figures)
-    figures.add_argument("--out", type=Path, default=Path("figures"), help="folder (figures)")
-
-    antisway = command("antisway", command_antisway, "chaincrane antisway --payload 0.07")
+def add_antisway_options(antisway: argparse.ArgumentParser) -> None:
+    """The options of chaincrane antisway."""
     for name, kind, default, text in (
         ("payload", float, HEAVY, "mass of the payload, kg"),
         ("target", float, TARGET, "where the trolley is to go, m"),
@@ -361,13 +285,95 @@ def parser() -> argparse.ArgumentParser:
         metavar="PART::NAME=VALUE",
         help="a start value of crane, observer or antisway, as observer::sensor.delay=0.02",
     )
-    antisway.add_argument("--out", type=Path, default=Path("results/antisway"), help="folder")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line's grammar."""
+    top = Parser(
+        prog="chaincrane",
+        description="Drive the cranes' FMUs with FMPy: compare, draw, check.",
+        epilog="examples:\n  chaincrane build\n  chaincrane run paper_heavy\n  chaincrane figures\n"
+        "  chaincrane check --fmu some_other_crane.fmu --model crane_nl",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=versions())
+    commands = top.add_subparsers(metavar="COMMAND", required=True)
+    commands.add_parser("build", help="Build the FMUs, or copy those that came.", add_help=False)
+
+    def command(name: str, action: object, example: str) -> argparse.ArgumentParser:
+        text = getdoc(action) or ""
+        sub = commands.add_parser(
+            name,
+            help=text.splitlines()[0],
+            description=text,
+            epilog=f"example: {example}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        sub.set_defaults(action=action)
+        sub.add_argument(
+            "--fmus",
+            type=Path,
+            default=shipped.WORKING_FOLDER,
+            metavar="DIR",
+            help="where the FMUs are (here, else those that came with chaincrane)",
+        )
+        return sub
+
+    def scenarios(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument(
+            "--scenarios",
+            type=Path,
+            default=shipped.scenarios(),
+            metavar="DIR",
+            help="where the scenarios are (scenarios, else those that came with chaincrane)",
+        )
+
+    def results_in(sub: argparse.ArgumentParser, folder: str) -> None:
+        sub.add_argument(
+            "--out",
+            type=Path,
+            default=Path(folder),
+            metavar="DIR",
+            help=f"folder for the results ({folder})",
+        )
+
+    run = command("run", command_run, "chaincrane run paper_heavy")
+    add_scenario(run, "+")
+    results_in(run, "results")
+
+    reporting = command("report", command_report, "chaincrane report paper_light")
+    add_scenario(reporting, "+")
+    add_run(reporting)
+    results_in(reporting, "results")
+
+    figures = command("figures", command_figures, "chaincrane figures --out figures")
+    scenarios(figures)
+    results_in(figures, "figures")
+
+    antisway = command("antisway", command_antisway, "chaincrane antisway --payload 0.07")
+    add_antisway_options(antisway)
+    results_in(antisway, "results/antisway")
+
+    converging = command(
+        "converge", command_converge, "chaincrane converge paper_heavy --run nonlinear"
+    )
+    add_scenario(converging)
+    add_run(converging)
+    converging.add_argument(
+        "--signals",
+        type=lambda text: tuple(filter(None, text.split(","))),
+        default=(),
+        metavar="NAME,NAME",
+        help="Real outputs to judge and to draw (what the scenario looks at is drawn; judged too:"
+        f" {', '.join(converge.BESIDES)})",
+    )
+    results_in(converging, "results")
 
     sweep_command.add_options(
         command(
             "sweep",
             sweep_command.command_sweep,
-            "chaincrane sweep scenarios/paper_heavy --vary"
+            "chaincrane sweep paper_heavy --vary"
             " payload.mass=0.05:0.5:50 --vary chain.elements=2,5,10",
         )
     )
@@ -375,17 +381,20 @@ def parser() -> argparse.ArgumentParser:
         command(
             "fit",
             fit_command.command_fit,
-            "chaincrane fit scenarios/paper_heavy measured.csv --fit payload.mass=0.3 --shift",
+            "chaincrane fit paper_heavy measured.csv --fit payload.mass=0.3 --shift",
         )
     )
-
-    studied = command("study", command_study, "chaincrane study observer --out docs")
-    studied.add_argument("study", choices=("observer",), help="which study")
-    studied.add_argument("--out", type=Path, default=Path("results"), help="folder (results)")
 
     check = command("check", command_check, "chaincrane check --fmu crane_nl_native.fmu")
     scenarios(check)
     add_check_options(check)
+    add_export_options(
+        command("export", command_export, "chaincrane export paper_heavy --out crosscheck")
+    )
+
+    studied = command("study", command_study, "chaincrane study observer --out docs")
+    studied.add_argument("study", choices=("observer",), help="which study")
+    results_in(studied, "results")
     return top
 
 

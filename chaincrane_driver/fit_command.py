@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from . import fit, scenario, shipped
+from .check_command import add_scenario
 from .instances import describe
 from .stale import say_if_stale
 
@@ -35,7 +36,7 @@ def command_fit(options: argparse.Namespace) -> int:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    parser.add_argument("scenario", type=Path, help="the scenario's folder")
+    add_scenario(parser)
     parser.add_argument("measured", type=Path, help="CSV file: time, then outputs by their names")
     parser.add_argument(
         "--fit", action="append", default=[], metavar="NAME[=START]", help="a parameter to fit"

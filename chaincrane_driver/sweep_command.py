@@ -114,7 +114,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     def names(text: str) -> tuple[str, ...]:
         return tuple(filter(None, text.split(",")))
 
-    parser.add_argument("subject", help=f"a scenario's folder, or {LOOP}: the closed loop")
+    parser.add_argument(
+        "subject", help=f"a scenario's folder, the name of one of ours, or {LOOP}: the closed loop"
+    )
     parser.add_argument(
         "--vary", action="append", default=[], metavar="NAME=WHAT", help="what varies; any number"
     )

@@ -186,4 +186,4 @@ def test_errors_are_one_clear_line(
 def test_help_has_an_example() -> None:
     done = chaincrane("converge", "--help")
     assert done.returncode == 0
-    assert "example: chaincrane converge scenarios/paper_heavy" in done.stdout
+    assert "example: chaincrane converge paper_heavy" in done.stdout

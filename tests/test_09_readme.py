@@ -36,6 +36,16 @@ def test_the_readme_is_short() -> None:
     assert len(re.sub(r"\||-{3,}", "", README).split()) <= 950
 
 
+def test_every_command_is_in_the_readme() -> None:
+    """In the table of commands, or in the two commands, which build."""
+    (names,) = re.findall(r"(?s)COMMAND\n(.*?)\n\n", cli.parser().format_help())
+    known = re.findall(r"(?m)^    (\w+) ", names)
+    assert len(known) == 11
+    table = README[README.index("## Commands") : README.index("## How good")]
+    told = re.findall(r"`chaincrane (\w+)[^`]*`(?:, `(\w+)`)?", table)
+    assert {one for pair in told for one in pair if one} == set(known) - {"build"}
+
+
 def test_there_are_two_commands_and_ci_runs_the_second() -> None:
     first, second = commands()
     assert first.endswith("build_fmu.py && .venv/bin/chaincrane figures")
