@@ -8,7 +8,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "fmu_src"))
 
-from chaincrane_builder.command import main
-
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        from chaincrane_builder.command import main
+
+        code = main()
+    except KeyboardInterrupt:  # while what builds is still being loaded
+        print("chaincrane: stopped", file=sys.stderr)
+        code = 2
+    sys.exit(code)

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tarfile
+import tempfile
 import time
 import zipfile
 from pathlib import Path
@@ -18,6 +19,7 @@ import pytest
 from conftest import ROOT
 
 from chaincrane_builder import command, compile_c
+from chaincrane_driver import __main__ as program
 
 
 def load_backend() -> ModuleType:
@@ -154,6 +156,24 @@ def test_what_cannot_be_built_is_one_line_at_once(
     assert code == 2 and says in errors and errors.count("\n") == 1
 
 
+class Stopped(ModuleType):
+    """A module at whose import Ctrl-C comes."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("module", ["chaincrane_driver.cli", "chaincrane_builder"])
+def test_stopped_while_it_is_loaded_is_one_line(
+    module: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, Stopped(module))
+    monkeypatch.setattr(sys, "argv", ["chaincrane", "build"])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    assert program.main() == 2
+    assert capsys.readouterr().err == "chaincrane: stopped\n"
+
+
 def build_fails(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> tuple[int, str]:
@@ -161,7 +181,9 @@ def build_fails(
         raise error
 
     monkeypatch.setattr(command, "build", fail)
+    before = os.environ.get("TMPDIR"), tempfile.gettempdir()
     code = command.main(["crane_lin"])
+    assert (os.environ.get("TMPDIR"), tempfile.gettempdir()) == before
     return code, capsys.readouterr().err
 
 

@@ -45,6 +45,7 @@ def main(
     ``ready``: a folder of FMUs that were built already, which are copied.
     """
     options = _options(arguments, program)
+    before = os.environ.get("TMPDIR")
     code = 2
     try:
         with tempfile.TemporaryDirectory(
@@ -63,7 +64,10 @@ def main(
         print(f"chaincrane: {where}: {error.strerror or error}", file=sys.stderr)
     finally:
         tempfile.tempdir = None
-        os.environ.pop("TMPDIR", None)
+        if before is None:
+            os.environ.pop("TMPDIR", None)
+        else:
+            os.environ["TMPDIR"] = before
     return code
 
 
