@@ -8,7 +8,7 @@ import platform
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import metadata
@@ -41,8 +41,9 @@ from .instances import describe
 from .loop import ORDERS
 from .masters import MASTERS, Package
 from .places import hindrance, whole_file
-from .processes import Timed, do_all, simulate_all
+from .processes import Timed, Workers, cores, do_all, simulate_all
 from .scenario import Scenario
+from .simulate import Job
 from .ssp import write_ssp
 from .stale import say_if_stale
 from .tables import Table, write_table
@@ -52,15 +53,15 @@ PAPER = (("heavy payload", "paper_heavy"), ("light payload", "paper_light"))
 
 def run_all(one: Scenario, fmus: Path) -> dict[str, Table]:
     """Simulate every run of a scenario."""
-    return run_several([one], fmus)[0]
+    tables = simulate_all(jobs_of(one, fmus), one.name)
+    return {run.name: table for run, table in zip(one.runs, tables, strict=True)}
 
 
-def run_several(scenarios: Sequence[Scenario], fmus: Path) -> list[dict[str, Table]]:
-    """Simulate every run of some scenarios, side by side; for each its runs by name."""
-    jobs = [one.job(run, shipped.fmu(fmus, run.fmu)) for one in scenarios for run in one.runs]
+def jobs_of(one: Scenario, fmus: Path) -> list[Job]:
+    """Every run of a scenario as work; says it where an FMU is stale."""
+    jobs = [one.job(run, shipped.fmu(fmus, run.fmu)) for run in one.runs]
     say_if_stale(job.fmu for job in jobs)
-    tables = iter(simulate_all(jobs, ", ".join(one.name for one in scenarios)))
-    return [{run.name: next(tables) for run in one.runs} for one in scenarios]
+    return jobs
 
 
 def checked_units(one: Scenario, fmus: Path) -> dict[str, str | None]:
@@ -133,25 +134,25 @@ def command_report(options: argparse.Namespace) -> int:
 def command_figures(options: argparse.Namespace) -> int:
     """Draw the paper's Figs. 4 to 7 from the FMUs, with the comparison in numbers."""
     scenarios = [scenario.load(options.scenarios / name) for _, name in PAPER]
-    results = run_several(scenarios, options.fmus)
-    for one, runs in zip(scenarios, results, strict=True):
-        units = checked_units(one, options.fmus)
-        print(f"{one.title}\n\n{compare.comparison_table(one, runs, units)}\n")
-    labels = [label for label, _ in PAPER]
-    panels = list(zip(labels, scenarios, results, strict=True))
-    signals = {
-        "fig5_payload_absolute": "payload.x",
-        "fig6_payload_relative": "payload.x_rel",
-        "fig7_middle_relative": "chain.mid_x_rel",
-    }
-    shapes = plots.Drawing(
-        plots.shape_figure, panels, plots.SHAPE_TIMES, options.out / "fig4_shapes"
-    )
-    motions = [
-        plots.Drawing(plots.motion_figure, panels, signal, options.out / stem)
-        for stem, signal in signals.items()
-    ]
-    written = [path for paths in do_all([shapes, *motions], "figures") for path in paths]
+    jobs = [job for one in scenarios for job in jobs_of(one, options.fmus)]
+    with Workers(cores()) as workers:
+        tables = iter(do_all(workers, jobs, "runs"))
+        panels = []
+        for (label, _), one in zip(PAPER, scenarios, strict=True):
+            results = {run.name: next(tables) for run in one.runs}
+            panels.append((label, one, results))
+            units = checked_units(one, options.fmus)
+            print(f"{one.title}\n\n{compare.comparison_table(one, results, units)}\n")
+        signals = {
+            "fig5_payload_absolute": "payload.x",
+            "fig6_payload_relative": "payload.x_rel",
+            "fig7_middle_relative": "chain.mid_x_rel",
+        }
+        stem, out = "fig4_shapes", options.out
+        drawings = [plots.Drawing(plots.shape_figure, panels, plots.SHAPE_TIMES, out / stem)]
+        for stem, signal in signals.items():
+            drawings.append(plots.Drawing(plots.motion_figure, panels, signal, out / stem))
+        written = [path for paths in do_all(workers, drawings, "figures") for path in paths]
     print("written: " + ", ".join(str(path) for path in written))
     return 0
 

@@ -153,6 +153,8 @@ class Workers:
         ``work`` is taken as it is needed, so there may be any amount of it.
         """
         waiting, again = iter(work), deque[Numbered]()
+        for worker in self._workers:
+            worker.batch = 1  # what was quick before says nothing of this
         tried: set[int] = set()
         self._hand_out(waiting, again)
         while any(worker.sent for worker in self._workers):
@@ -257,16 +259,13 @@ def _alone(one: Numbered) -> bool:
     return bool(getattr(one[1], "alone", False))
 
 
-def do_all(work: Sequence[Work], label: str) -> list[Any]:
-    """Do work in a few workers, with a progress bar; what each piece gave, in their order.
+def do_all(workers: Workers, work: Sequence[Work], label: str) -> list[Any]:
+    """Do work in some workers, with a progress bar; what each piece gave, in their order.
 
     Raises UserError for the first that fails.
     """
     results: dict[int, Any] = {}
-    with (
-        progress_bar(total=len(work), desc=label) as bar,
-        Workers(min(cores(), len(work))) as workers,
-    ):
+    with progress_bar(total=len(work), desc=label) as bar:
         for number, result in workers.run(enumerate(work)):
             if isinstance(result, Failure):
                 raise UserError(result)

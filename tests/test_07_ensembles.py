@@ -236,6 +236,17 @@ def test_work_that_fails_is_a_failure_and_the_rest_goes_on() -> None:
     assert isinstance(found[1], Failure)
 
 
+def test_what_is_to_be_run_next_is_shared_too() -> None:
+    """One worker does not take all of it, as it may where each call, a fit's say, was quick."""
+    with Workers(2) as workers:
+        for _ in range(8):
+            assert dict(workers.run(enumerate([Square(1), Square(2)]))) == {0: 1, 1: 4}
+        last = workers.run(enumerate(Square(n, lasts=0.05) for n in range(4)))
+        next(last)
+        assert all(len(worker.sent) <= 1 for worker in workers._workers)
+        assert len(dict(last)) == 3
+
+
 def test_work_is_taken_as_it_is_needed() -> None:
     """So memory does not grow with the number of runs."""
     taken = 0
