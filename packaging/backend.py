@@ -56,17 +56,19 @@ def build_wheel(
     """Write a wheel into ``folder``; its name."""
     folder = os.path.abspath(folder)
     with _copy_of_the_sources() as copy:
+        # where there is no home, the compiler's cache is in the temporary folder: it goes, too
+        environment = {**os.environ, "TMPDIR": str(copy.parent)}
         builder = [sys.executable, "build_fmu.py", "--dest"]
         fmus = copy / "chaincrane_driver" / "shipped" / "fmus"
         for native in ([], ["--native"]):
-            subprocess.run([*builder, str(fmus), *native], check=True)
+            subprocess.run([*builder, str(fmus), *native], check=True, env=environment)
         stepper = [
             sys.executable,
             "-m",
             "chaincrane_builder.stepper",
             "../chaincrane_driver/shipped",
         ]
-        subprocess.run(stepper, check=True, cwd=copy / "fmu_src")
+        subprocess.run(stepper, check=True, cwd=copy / "fmu_src", env=environment)
         shutil.copytree(copy / "scenarios", fmus.parent / "scenarios")
         inside = copy / "fmu_src" / "chaincrane_builder"
         sources = shutil.ignore_patterns("chaincrane_builder", "__pycache__")

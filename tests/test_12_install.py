@@ -39,6 +39,8 @@ def wheel(fmus: Path, native_fmus: Path, tmp_path_factory: pytest.TempPathFactor
     run = subprocess.run
 
     def built_already(arguments: list[str], **more: Any) -> None:
+        scratch = Path(more["env"]["TMPDIR"])  # what the compiler leaves there is gone with it
+        assert scratch.parent == Path(tempfile.gettempdir())
         if arguments[1:3] != ["build_fmu.py", "--dest"]:
             run(arguments, **more)
             return
