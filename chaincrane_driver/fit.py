@@ -179,7 +179,10 @@ def parameters(
             np.inf if variable.max is None else float(variable.max),
         )
         if not least <= guess <= most:
-            raise UserError(f"--fit {text!r}: the start is not between {least:g} and {most:g}")
+            smallest = 0.0 < least < 1e-300  # the XML's way to say: above 0
+            allowed = "above 0" if smallest else f"{least:g} or more"
+            allowed += "" if np.isinf(most) else f", {most:g} at most"
+            raise UserError(f"--fit {text!r} is not allowed: {allowed}")
         scale = abs(guess) or ZERO_SCALE
         found.append(Parameter(name, variable.unit or "", guess, scale, least, most))
     if len({one.name for one in found}) < len(found):

@@ -111,7 +111,7 @@ def test_a_model_that_is_not_the_cranes_is_said(native_fmus: Path) -> None:
         ("time,payload.x\n0,1\n1,\n", ["--bias"], "too few measured values for 1 parameters"),
         ("time,payload.x\n0,1\n", ["--fit", "mass"], "no Real parameter is 'mass'"),
         ("time,payload.x\n0,1\n", ["--fit", "payload.mass=x"], "'x' is not a finite number"),
-        ("time,payload.x\n0,1\n", ["--fit", "payload.mass=-1"], "the start is not between"),
+        ("time,payload.x\n0,1\n", ["--fit", "payload.mass=-1"], "is not allowed: above 0"),
         ("time,payload.x\n0,1\n9,1\n", ["--bias"], "within the scenario's 0 to 4 s"),
         ("time,payload.x\n0,1\n", ["--run", "non", "--bias"], "there is no run 'non'"),
     ],
