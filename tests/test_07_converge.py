@@ -159,7 +159,7 @@ def test_converge_prints_tables_and_writes_files(fmus: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("old", "new", "options", "parts"),
     [
-        ("", "", ["--run", "linear"], ["no run 'linear'", "linear_10"]),
+        ("", "", ["--run", "linear"], ["no run 'linear'", "the nearest is 'nonlinear'"]),
         ("", "", ["--signals", "payload.z"], ["crane_nl.fmu", "no Real output 'payload.z'"]),
         ("", "", ["--signals", "solver.steps"], ["no Real output 'solver.steps'"]),
         ("crane_nl", "crane_observer", [], ["crane_observer.fmu", "has no 'solver.max_step'"]),
