@@ -215,10 +215,9 @@ def spread(values: Sequence[float], factor: float = 1.0, digits: int = 2) -> str
     if any(np.isnan(scaled)):
         settled = [value for value in scaled if not np.isnan(value)]
         return f"{len(settled)} of {len(scaled)} settle" if len(scaled) > 1 else "-"
-    middle = f"{np.median(scaled):.{digits}f}"
-    if len(scaled) == 1:
-        return middle
-    return f"{middle} ({min(scaled):.{digits}f} to {max(scaled):.{digits}f})"
+    told = [float(np.median(scaled)), min(scaled), max(scaled)]
+    middle, low, high = (f"{round(value, digits) + 0.0:.{digits}f}" for value in told)  # no -0.0
+    return middle if len(scaled) == 1 else f"{middle} ({low} to {high})"
 
 
 def _moves(results: Results) -> str:
