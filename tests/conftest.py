@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -28,6 +29,12 @@ from chaincrane_builder.pack import build  # noqa: E402
 STOP_AT = 1.0  # s, when the paper's trolley stops
 SPEED = 0.8  # m/s, until then
 PAYLOADS = {"heavy": 0.42, "light": 0.07}  # kg
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _ctrl_c_stops() -> None:
+    """Also where a shell has put the tests into the background: what it starts there ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)
