@@ -31,7 +31,7 @@ def path(crane: Any, stops: bool) -> list[tuple[float, float]]:
 
 def test_the_estimate_is_near_the_true_error(library: Any) -> None:
     """60 random cranes, steel and soft: within a factor of 3 but for a twentieth of them, and a
-    factor of 10. Of 4492 such cases 98 % lay within 3, and none was told less than an eighth; one
+    factor of 10. Of 4492 such cases 98 % lay within 3, and none was told less than 0.12 of it; one
     was told 14 times too much. All of these had been slack.
     """
     random, ratios = Random(3), []

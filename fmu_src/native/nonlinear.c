@@ -418,9 +418,9 @@ static Outcome run(NonlinearCrane *crane, double h, double v, const Command *com
     double allowed = formulation->longest_step(work);
     if (crane->companion.head) allowed *= 0.5; /* the companion's steps are twice as long */
     double longest = smaller(work->chain.settings.solver_max_step, allowed);
-    double waves = crane->trial.head->waves, wave_step = formulation->wave_step(work);
-    if (!(waves > 0.0 && wave_step < longest))
-        return stretch(crane, 0.0, h, longest, v, command, failure);
+    double waves = crane->trial.head->waves;
+    double wave_step = waves > 0.0 ? formulation->wave_step(work) : longest;
+    if (!(wave_step < longest)) return stretch(crane, 0.0, h, longest, v, command, failure);
     double first = waves < h * (1.0 - WHOLE) ? waves : h;
     Outcome outcome = stretch(crane, 0.0, first, wave_step, v, command, failure);
     if (outcome != DONE || first == h) return outcome;

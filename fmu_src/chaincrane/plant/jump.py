@@ -79,7 +79,7 @@ def wave_step(chain: DiscreteChain) -> float:
 def wave_time(crane: Crane, dv: float) -> float:
     """How long, s, the waves of a jump by ``dv`` m/s are followed: 6/omega_1, at most 40 L/c; ours.
 
-    The largest tension comes within the first half of the bounce. 0 where dv c m/L, the tension of
+    The first peaks of tension come within the bounce. 0 where dv c m/L, the tension of
     an axial wave that the trolley would send along the chain, is below a twentieth of the weight: a
     command in many small jumps is an acceleration.
     """
