@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import cos, floor, log, pi, sqrt
 from typing import Any
 
@@ -12,6 +13,8 @@ from ..variables import ABOVE_ZERO, parameter, whole
 
 ROUND_OFF = 1e-9  # s, what a sum of communication steps may be off by
 MAX_SEED = 2**31 - 1
+_BLOCK = 64  # deviates whose bits are drawn at once: to make a generator takes longer than they do
+_BLOCKS = 64  # that are kept, of all seeds
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,21 @@ class Sensor:
         return sampled + self.clock.delay <= time + ROUND_OFF
 
 
+@lru_cache(_BLOCKS)
+def _bits(seed: int, block: int) -> list[list[int]]:
+    """Philox's bits of the deviates of a block: its counter's next words, two of every four."""
+    words = np.random.Philox(key=seed, counter=block * _BLOCK).random_raw(4 * _BLOCK)
+    drawn: list[list[int]] = words.reshape(_BLOCK, 4)[:, :2].tolist()
+    return drawn
+
+
 def normal(seed: int, number: int) -> float:
     """Standard normal deviate ``number`` of a seed's stream: Box & Muller (1958) on Philox's bits.
 
     z = sqrt(-2 ln u1) cos(2 pi u2). It depends on its two arguments alone, so a saved state needs
     no generator, and Philox's bits are the same in every NumPy.
     """
-    first, second = np.random.Philox(key=seed, counter=number).random_raw(2).tolist()
-    u1, u2 = ((bits >> 11) + 0.5 for bits in (first, second))
+    block, place = divmod(number, _BLOCK)
+    first, second = _bits(seed, block)[place]
+    u1, u2 = (first >> 11) + 0.5, (second >> 11) + 0.5
     return sqrt(-2.0 * log(u1 * 2.0**-53)) * cos(2.0 * pi * u2 * 2.0**-53)
