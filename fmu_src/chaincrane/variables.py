@@ -6,9 +6,11 @@ start value, range and meaning stand once, where the models read it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from math import isfinite
+from operator import attrgetter
 from typing import Any, TypeVar
 
 from .errors import BadValue
@@ -117,26 +119,33 @@ def count(name: str, meaning: str) -> Variable:
     return output(name, None, meaning, minimum=0.0, discrete=True)
 
 
-def rows(settings: Any) -> tuple[Variable, ...]:
+def rows(settings: type) -> tuple[Variable, ...]:
     """The rows of a settings dataclass and of those inside it, in the order of its fields."""
-    return tuple(row for row, _, _ in _places(settings))
+    return tuple(row for row, _ in _places(settings))
 
 
-def _places(settings: Any) -> Iterator[tuple[Variable, Any, str]]:
-    """Each row with the dataclass, or its instance, that has it, and the name of its field."""
+@cache
+def _places(settings: type) -> tuple[tuple[Variable, str], ...]:
+    """Each row of a settings dataclass with its field's name, dotted where it is inside another."""
+    found: list[tuple[Variable, str]] = []
     for entry in fields(settings):
+        inner = entry.default_factory
         if _ROW in entry.metadata:
-            yield entry.metadata[_ROW], settings, entry.name
-        elif is_dataclass(entry.default_factory):
-            inner = entry.default_factory
-            yield from _places(
-                inner if isinstance(settings, type) else getattr(settings, entry.name)
-            )
+            found.append((entry.metadata[_ROW], entry.name))
+        elif is_dataclass(inner):
+            found += [(row, f"{entry.name}.{name}") for row, name in _places(inner)]
+    return tuple(found)
 
 
-def row_of(settings: Any, name: str) -> Variable:
+@cache
+def _readers(settings: type) -> tuple[tuple[Variable, Callable[[Any], Any]], ...]:
+    """Each row with what reads its value in an instance: checks come at every step."""
+    return tuple((row, attrgetter(name)) for row, name in _places(settings))
+
+
+def row_of(settings: type, name: str) -> Variable:
     """The row of a settings dataclass's field ``name``."""
-    row: Variable = next(row for row, _, place in _places(settings) if place == name)
+    row: Variable = next(row for row, place in _places(settings) if place.split(".")[-1] == name)
     return row
 
 
@@ -160,13 +169,13 @@ def from_values(settings: type[Settings], values: Mapping[str, Any]) -> Settings
 
 def values_of(settings: Any) -> dict[str, Any]:
     """The FMU's values by name of a settings instance: what :func:`from_values` takes."""
-    return {row.name: getattr(owner, name) for row, owner, name in _places(settings)}
+    return {row.name: value(settings) for row, value in _readers(settings.__class__)}
 
 
 def check_rows(settings: Any) -> None:
     """Raise BadValue for the first value of a settings instance that is not allowed."""
-    for row, owner, name in _places(settings):
-        row.check(getattr(owner, name))
+    for row, value in _readers(settings.__class__):
+        row.check(value(settings))
 
 
 def check_number(
