@@ -237,13 +237,13 @@ def test_the_covariance_is_that_of_the_samples(sensor: str, offset: str) -> None
         seen = ObserverInput(camera_x_rel=shown, rope_top_angle=float(np.arctan(shown)))
         watch.step(h, seen)
         strays = wander * generator.standard_normal((2, len(omega)))
-        motion, guess = truth._motion, watch.estimate.now
+        motion = truth._motion
         truth._motion = motion = ModalMotion(
             motion.eta + strays[0] / omega, motion.rate + strays[1]
         )
         walked += walk * strayed
-        off = np.append(omega * (guess.eta - motion.eta), guess.rate - motion.rate)
-        rows.append(np.append(off, watch.estimate.offset - walked))
+        z = np.concatenate((omega * motion.eta, motion.rate, [walked]))
+        rows.append(watch.estimate.now - z)
     errors = np.array(rows[500:])
     P = watch.filter_for(h).prior
     size = np.sqrt(np.diag(P))

@@ -20,7 +20,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..plant.chain import Array
-from ..plant.linear import TautString
+from ..plant.command import Command
+from ..plant.linear import ModalMotion, TautString
 
 OBSERVABLE = 1e-6  # smallest observability margin that can be designed for
 FAST = 0.95 * pi  # rad that a mode may turn between samples; what turns faster is not corrected
@@ -70,6 +71,21 @@ def held_input(string: TautString, t: float) -> Array:
     return np.vstack((moved[:, None] * load, s[:, None] * load))
 
 
+def driven(string: TautString, t: float) -> Array:
+    """z after ``t`` s of the trolley's known motion, (2n, 3): a jump at their start, v and a.
+
+    By 1 m/s, 1 m/s and 1 m/s2, from rest: the string's exact step is linear in them. Without air a
+    steady v does nothing.
+    """
+    omega, rest = string.modes.omega, np.zeros_like(string.modes.omega)
+    columns = []
+    for dv, v, a in np.eye(3):
+        motion = string.jump(ModalMotion(rest, rest), dv)
+        moved = string.propagate(motion, t, v, Command(trolley_a_cmd=a))
+        columns.append(np.append(omega * moved.eta, moved.rate))
+    return np.column_stack(columns)
+
+
 @dataclass(frozen=True)
 class Watched:
     """A string, what a sensor sees of it, and the noise of both."""
@@ -86,6 +102,11 @@ class Watched:
             return phi
         driven = held_input(self.string, t)[:, :1] * self.pull
         return np.block([[phi, driven], [np.zeros((1, len(phi))), np.ones((1, 1))]])
+
+    def driven(self, t: float) -> Array:
+        """:func:`driven` of the whole state: the trolley moves no offset."""
+        gamma = driven(self.string, t)
+        return gamma if self.pull is None else np.vstack((gamma, np.zeros((1, 3))))
 
     def held_noise(self, interval: float, t: float) -> Array:
         """Q: covariance after ``t`` s, from none, of disturbances held over ``interval`` s.

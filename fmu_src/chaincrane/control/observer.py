@@ -4,23 +4,26 @@ It runs the string with the trolley's commands, exactly, and corrects it at each
 sensor hears of. A late sample corrects the past, and the known commands since are run again. It can
 find a steady wind, or a bias of its sensor, beside the motion, and leaves out samples that its
 model says cannot be.
+
+The state z is the filter's (:mod:`kalman`), an offset last where one is sought. What is seen of it
+is linear: each output, the sample and its deviations are rows of one matrix.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from math import atan, atan2, pi, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from ..errors import BadState, BadValue
 from ..plant.chain import Array
 from ..plant.command import Command
 from ..plant.interface import MATERIAL_POINTS
-from ..plant.linear import ModalMotion
 from ..plant.parameters import Crane, Initial, Numerics
 from ..plant.trolley import Trolley, checked_after
 from ..variables import (
@@ -63,8 +66,16 @@ DEVIATIONS = (
     "rope.bias_found",
 )
 SHORTEST = 1e-3  # of sample_time: samples nearer than that share their gain
-NONE_SHOWN = (0.0,) * SHOWN_MODES
+# What is seen of the state: places of the rows of its matrix.
+CHAIN_X = tuple(f"chain.x[{i}]" for i in range(1, MATERIAL_POINTS + 1))  # the first rows, relative
+PAYLOAD, MIDDLE, TOP = MATERIAL_POINTS - 1, MATERIAL_POINTS, MATERIAL_POINTS + 1
+SHARES = slice(TOP + 1, TOP + 1 + SHOWN_MODES)
+RATE = SHARES.stop  # of the payload
+RATE_SHARES = slice(RATE + 1, RATE + 1 + SHOWN_MODES)
+MODE_X = tuple(f"mode.x_rel[{i}]" for i in range(1, SHOWN_MODES + 1))
+MODE_VX = tuple(f"mode.vx_rel[{i}]" for i in range(1, SHOWN_MODES + 1))
 _CACHED = 256  # designs and covariances kept, for hosts that vary their step
+_STEPS = 32  # lengths of step whose exact steps are kept
 
 
 @dataclass(frozen=True)
@@ -187,14 +198,8 @@ class ObserverInput:
         "rope.top_angle", "rad", "what the rope-angle sensor feels: connect chain.top_angle"
     )
 
-    @property
-    def command(self) -> Command:
-        """The crane's command, as far as the observer knows it."""
-        return Command(trolley_v_cmd=self.trolley_v_cmd, trolley_a_cmd=self.trolley_a_cmd)
 
-
-@dataclass(frozen=True)
-class Segment:
+class Segment(NamedTuple):
     """A communication step's known motion of the trolley."""
 
     h: float  # s
@@ -203,8 +208,7 @@ class Segment:
     a: float  # m/s2, mean, of the trolley
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """A sample on its way to the filter."""
 
     step: int  # communication steps done when it was taken
@@ -212,21 +216,22 @@ class Sample:
     value: float  # as the sensor says
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """All that the observer carries from step to step."""
+class Estimate(NamedTuple):
+    """All that the observer carries from step to step; a tuple, of which a changed copy is cheap.
 
-    base: ModalMotion  # corrected by all samples heard of, at the last one's instant
-    now: ModalMotion  # the base, predicted to the time reached
+    An offset is what a sample shows of wind or bias at rest, m or 1 (a slope).
+    """
+
+    base: Array  # z, corrected by all samples heard of, at the last one's instant
+    now: Array  # the base, predicted to the time reached
     time: float = 0.0  # s
-    trolley: Trolley = field(default_factory=Trolley)
+    trolley: Trolley = Trolley()
     a: float = 0.0  # m/s2, of the trolley now
     steps: int = 0
     base_step: int = 0  # communication steps done at the base
     base_time: float = 0.0  # s
     base_pull: float = 0.0  # m/s2, what the trolley pulls the string with at the base
     pull: float = 0.0  # m/s2, and now
-    offset: float = 0.0  # what a sample shows of wind or bias at rest, m or 1 (a slope)
     since: tuple[Segment, ...] = ()  # the base
     coming: tuple[Sample, ...] = ()
     tick: int = 0  # of the sensor's clock, the next to take
@@ -253,34 +258,38 @@ class CraneObserver(ControlPart):
         camera = one.sensor == "camera"
         self.clock = one.clock
         self.sensor = Sensor(one.clock, one.camera if camera else one.rope)
-        string, omega = self.string, self.string.modes.omega
-        none = np.zeros_like(omega)
-        shown, by_force = (
-            (string.end, string.end_by_force) if camera else (string.slope, string.slope_by_force)
-        )
-        self._left = string.end_left if camera else string.slope_left
+        by_force = self.string.end_by_force if camera else self.string.slope_by_force
         self._pull = {"wind": 1.0 / by_force, "bias": 0.0, "none": None}[one.offset]
-        c = np.append(shown / omega, none)
-        rows = np.vstack(  # of what a standard deviation is given for
-            (
-                np.append(string.end / omega, none),
-                np.append(none, string.end),
-                np.append(string.points[-1] / omega, none),
-                np.append(string.slope / omega, none),
-            )
-        )
-        if self._pull is not None:
-            left = self._left[1] * self._pull
-            c = np.append(c, left if one.offset == "wind" else 1.0)
-            of_wind = (string.end_left[1], 0.0, string.points_left[-1, 1], string.slope_left[1])
-            rows = np.column_stack((rows, np.array(of_wind) * self._pull))
-        self.watched = kalman.Watched(string, c, self._assumed_noise(), self._pull)
-        self._rows = rows
+        self._seen, self._pulled = self._sights()
+        shown = PAYLOAD if camera else TOP
+        c, self._shown_pulled = self._seen[shown].copy(), float(self._pulled[shown])
+        if one.offset == "bias":
+            c[-1] = 1.0
+        self.watched = kalman.Watched(self.string, c, self._assumed_noise(), self._pull)
+        self._exact: dict[float, tuple[Array, Array]] = {}
+        self._half_period = pi / float(self.string.modes.omega[0])
         self._filters: dict[float, kalman.Filter] = {}
         self._deviations: dict[tuple[float, float], list[float]] = {}
-        rest = ModalMotion(none, none)
+        rest = np.zeros_like(c)
         self._state = Estimate(rest, rest, trolley=Trolley(v=one.speed))
         self.filter_for(self.clock.sample_time)
+
+    def _sights(self) -> tuple[Array, Array]:
+        """What is seen of z, a row each, and by 1 m/s2 that the trolley pulls the string with.
+
+        Material points and the middle, m, the slope at the top, the modes' shares of payload.x_rel,
+        then the rate of it and their shares, m/s.
+        """
+        string, omega = self.string, self.string.modes.omega
+        share = np.eye(SHOWN_MODES, len(omega)) * string.end
+        displaced = np.vstack((string.points, string.slope, share)) / omega
+        moving = np.vstack((string.end, share))
+        rows: Array = scipy.linalg.block_diag(displaced, moving)
+        left = np.zeros((len(rows), 2))  # by what the modes left out move, at rest
+        left[: SHARES.start] = np.vstack((string.points_left, string.slope_left))
+        if self._pull is not None:
+            rows = np.column_stack((rows, left[:, 1] * self._pull))
+        return rows, left[:, 0]
 
     def _assumed_noise(self) -> kalman.Noise:
         """The settings' noise; where they leave it open, by the crane's size."""
@@ -343,20 +352,24 @@ class CraneObserver(ControlPart):
         """
         check_rows(told)
         check_step_size(h)
-        state, command = self._state, told.command
-        a_mean, a_end = followed(state.a, command.trolley_a_cmd, h, self.settings.lag)
-        command = replace(command, trolley_a_cmd=a_mean)
-        trolley = checked_after(state.trolley, h, command)
-        camera = self.settings.sensor == "camera"
-        seen = told.camera_x_rel if camera else told.rope_top_angle
-        at_start = self.settings.inputs_at == "start"
+        state, at_start = self._state, self.settings.inputs_at == "start"
+        seen = told.camera_x_rel if self.settings.sensor == "camera" else told.rope_top_angle
         if at_start:
+            state = self._corrected(self._sampled(state, seen))
+        state = self._driven(state, h, told)
+        if not at_start:
             state = self._sampled(state, seen)
+        self._state = self._corrected(state)
+
+    def _driven(self, state: Estimate, h: float, told: ObserverInput) -> Estimate:
+        """Trolley and string ``h`` s later. Raises BadValue where they do not stay finite."""
+        a, a_end = followed(state.a, told.trolley_a_cmd, h, self.settings.lag)
+        command = Command(trolley_v_cmd=told.trolley_v_cmd, trolley_a_cmd=a)
+        trolley = checked_after(state.trolley, h, command)
         v = state.trolley.commanded(command)
-        segment = Segment(h, v - state.trolley.v, v, command.trolley_a_cmd)
-        state = replace(
-            state,
-            now=self._moved(state.now, segment, state.offset),
+        segment = Segment(h, v - state.trolley.v, v, a)
+        return state._replace(
+            now=self._moved(state.now, segment),
             time=state.time + h,
             trolley=trolley,
             a=a_end,
@@ -364,14 +377,24 @@ class CraneObserver(ControlPart):
             steps=state.steps + 1,
             since=(*state.since, segment),
         )
-        if not at_start:
-            state = self._sampled(state, seen)
-        self._state = self._corrected(state)
 
-    def _moved(self, motion: ModalMotion, segment: Segment, offset: float) -> ModalMotion:
-        jumped = self.string.jump(motion, segment.dv)
-        command = Command(trolley_a_cmd=segment.a, payload_fx=self._wind(offset))
-        return self.string.propagate(jumped, segment.h, segment.v, command)
+    def _moved(self, z: Array, segment: Segment) -> Array:
+        """z after a segment, exactly: Phi z + Gamma (dv, v, a)."""
+        phi, gamma = self._exact_step(segment.h)
+        moved: Array = phi @ z + gamma @ segment[1:]
+        return moved
+
+    def _exact_step(self, h: float) -> tuple[Array, Array]:
+        """Phi and Gamma of ``h`` s, made once."""
+        if h not in self._exact:
+            if len(self._exact) >= _STEPS:
+                self._exact.clear()
+            self._exact[h] = self.watched.transition(h), self.watched.driven(h)
+        return self._exact[h]
+
+    def _offset(self, z: Array) -> float:
+        """The offset in a state, m or 1 (a slope); 0 where none is sought."""
+        return 0.0 if self._pull is None else float(z[-1])
 
     def _wind(self, offset: float) -> float:
         """Force on the payload, N."""
@@ -385,12 +408,10 @@ class CraneObserver(ControlPart):
         """What the trolley pulls the string with at the end of a segment: a + alpha v, m/s2."""
         return segment.a + self.string.air * (segment.v + segment.h * segment.a)
 
-    def _moved_on(
-        self, motion: ModalMotion, segments: tuple[Segment, ...], offset: float
-    ) -> ModalMotion:
+    def _moved_on(self, z: Array, segments: tuple[Segment, ...]) -> Array:
         for segment in segments:
-            motion = self._moved(motion, segment, offset)
-        return motion
+            z = self._moved(z, segment)
+        return z
 
     def _sampled(self, state: Estimate, seen: float) -> Estimate:
         """Take a sample, if the sensor's clock has ticked."""
@@ -399,67 +420,55 @@ class CraneObserver(ControlPart):
             return state
         sample = Sample(state.steps, state.time, self.sensor.reading(seen, state.taken))
         coming = (*state.coming, sample)
-        return replace(state, coming=coming, tick=tick + 1, taken=state.taken + 1)
+        return state._replace(coming=coming, tick=tick + 1, taken=state.taken + 1)
 
     def _corrected(self, state: Estimate) -> Estimate:
         """Correct by the samples that have arrived, and predict from there to the time reached."""
-        corrected = False
         while state.coming and self.sensor.heard(state.coming[0].time, state.time):
             sample, *coming = state.coming
-            state = replace(state, coming=tuple(coming))
+            state = state._replace(coming=tuple(coming))
             if self.settings.sensor == "rope" and not abs(sample.value) < 0.5 * pi:
                 continue  # beyond the horizontal a slope says nothing
-            state, corrected = self._judged(state, sample), True
-        if corrected:
-            state = replace(state, now=self._moved_on(state.base, state.since, state.offset))
+            state = self._judged(state, sample)
         return state
 
     def _judged(self, state: Estimate, sample: Sample) -> Estimate:
         """The base moved to the sample's instant, and corrected unless the gate leaves it out."""
         passed = sample.step - state.base_step
-        segments = state.since[:passed]
+        segments, since = state.since[:passed], state.since[passed:]
         interval = self.clock.sample_time
         if state.interval is not None or state.left_out:
             interval = sample.time - state.base_time
         found = self.filter_for(interval)
-        state = replace(
-            state,
-            base=self._moved_on(state.base, segments, state.offset),
-            base_step=sample.step,
-            base_time=sample.time,
-            base_pull=self._pull_after(segments[-1]) if segments else state.base_pull,
-            since=state.since[passed:],
-        )
-        expected = self._expected(state)
+        base = self._moved_on(state.base, segments) if since else state.now
+        pull = self._pull_after(segments[-1]) if segments else state.base_pull
+        expected = float(self.watched.c @ base) + self._shown_pulled * pull  # m or 1 (a slope)
         rope = self.settings.sensor == "rope"
         shown = sample.value - (atan(expected) if rope else expected)
         off = shown * (1.0 + expected**2) if rope else shown  # of a slope: tan to first order
+        state = state._replace(
+            base=base,
+            base_step=sample.step,
+            base_time=sample.time,
+            base_pull=pull,
+            since=since,
+            innovation=shown,
+        )
         gate = self.settings.gate * found.surprise
         doubtful = gate > 0.0 and abs(shown) > gate
-        shut = sample.time - state.surprised >= pi / float(self.string.modes.omega[0])
-        state = replace(state, innovation=shown)
+        shut = sample.time - state.surprised >= self._half_period
         if doubtful and shut and state.doubted < PATIENCE:
-            return replace(state, left_out=state.left_out + 1, doubted=state.doubted + 1)
-        state = self._corrected_by(state, found, off)
-        surprised = sample.time if doubtful else state.surprised
-        return replace(
-            state, interval=found.interval, believed=sample.time, doubted=0, surprised=surprised
+            return state._replace(left_out=state.left_out + 1, doubted=state.doubted + 1)
+        base = base + found.gain * off
+        return state._replace(
+            base=base,
+            now=self._moved_on(base, since),
+            used=state.used + 1,
+            interval=found.interval,
+            believed=sample.time,
+            doubted=0,
+            surprised=sample.time if doubtful else state.surprised,
         )
-
-    def _expected(self, state: Estimate) -> float:
-        """A sample of the base without noise, m or 1 (a slope)."""
-        camera = self.settings.sensor == "camera"
-        row = self.string.end if camera else self.string.slope
-        left = self._left @ (state.base_pull, self._wind(state.offset))
-        return float(row @ state.base.eta + left) + self._bias(state.offset)
-
-    def _corrected_by(self, state: Estimate, found: kalman.Filter, off: float) -> Estimate:
-        """The state corrected by an innovation: z + k (y - c z)."""
-        omega = self.string.modes.omega
-        gain, n = found.gain * off, len(omega)
-        base = ModalMotion(state.base.eta + gain[:n] / omega, state.base.rate + gain[n : 2 * n])
-        offset = state.offset if self._pull is None else state.offset + float(gain[-1])
-        return replace(state, base=base, offset=offset, used=state.used + 1)
 
     def deviations(self) -> list[float]:
         """Standard deviations, of DEVIATIONS, in the steady state, at the time reached.
@@ -481,7 +490,8 @@ class CraneObserver(ControlPart):
         return self._deviations[key]
 
     def _roots(self, covariance: Array) -> list[float]:
-        variances = np.einsum("ij,jk,ik->i", self._rows, covariance, self._rows)
+        rows = self._seen[[PAYLOAD, RATE, MIDDLE, TOP]]
+        variances = np.einsum("ij,jk,ik->i", rows, covariance, rows)
         roots = np.sqrt(np.maximum(variances, 0.0)).tolist()
         offset = sqrt(max(float(covariance[-1, -1]), 0.0))
         bias = offset if self.settings.offset == "bias" else 0.0
@@ -490,12 +500,9 @@ class CraneObserver(ControlPart):
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
-        state, string = self._state, self.string
-        eta, rate, trolley = state.now.eta, state.now.rate, state.trolley
-        wind = self._wind(state.offset)
-        left = np.array((state.pull, wind))
-        points = (string.points @ eta + string.points_left @ left).tolist()
-        x_rel, vx_rel = points[MATERIAL_POINTS - 1], float(string.end @ rate)
+        state, trolley = self._state, self._state.trolley
+        seen = (self._seen @ state.now + self._pulled * state.pull).tolist()
+        x_rel, vx_rel, offset = seen[PAYLOAD], seen[RATE], self._offset(state.now)
         values: dict[str, float] = {
             "trolley.x": trolley.x,
             "trolley.v": trolley.v,
@@ -503,21 +510,19 @@ class CraneObserver(ControlPart):
             "payload.vx": trolley.v + vx_rel,
             "payload.x_rel": x_rel,
             "payload.vx_rel": vx_rel,
-            "payload.sway_angle": atan2(x_rel, string.depth),
-            "chain.mid_x_rel": points[-1],
-            "chain.top_angle": atan(float(string.slope @ eta + string.slope_left @ left)),
+            "payload.sway_angle": atan2(x_rel, self.string.depth),
+            "chain.mid_x_rel": seen[MIDDLE],
+            "chain.top_angle": atan(seen[TOP]),
         }
-        for i, x in enumerate(points[:MATERIAL_POINTS], start=1):
-            values[f"chain.x[{i}]"] = trolley.x + x
-        for name, modal in (("x_rel", eta), ("vx_rel", rate)):
-            shares = [*(string.end * modal).tolist(), *NONE_SHOWN][:SHOWN_MODES]
-            for i, share in enumerate(shares, start=1):
-                values[f"mode.{name}[{i}]"] = share
-        values["wind.fx"] = wind
+        for name, x in zip(CHAIN_X, seen, strict=False):
+            values[name] = trolley.x + x
+        values |= zip(MODE_X, seen[SHARES], strict=True)
+        values |= zip(MODE_VX, seen[RATE_SHARES], strict=True)
+        values["wind.fx"] = self._wind(offset)
         camera = self.settings.sensor == "camera"
         values["camera.innovation"] = state.innovation if camera else 0.0
         values["rope.innovation"] = 0.0 if camera else state.innovation
-        bias = self._bias(state.offset)
+        bias = self._bias(offset)
         values["camera.bias_found"] = bias if camera else 0.0
         values["rope.bias_found"] = 0.0 if camera else bias
         for name, deviation in zip(DEVIATIONS, self.deviations(), strict=True):
@@ -528,7 +533,7 @@ class CraneObserver(ControlPart):
 
     def save(self) -> bytes:
         """The whole state, bit for bit (a float's repr is exact); the settings are not in it."""
-        return json.dumps(asdict(self._state), default=lambda array: array.tolist()).encode()
+        return json.dumps(self._state._asdict(), default=_plain).encode()
 
     def load(self, state: bytes) -> None:
         """Restore what :meth:`save` gave, in an observer with the same settings.
@@ -536,18 +541,20 @@ class CraneObserver(ControlPart):
         Raises BadState, the observer unchanged, where the size does not fit.
         """
         data: Mapping[str, Any] = json.loads(state)
-        motions = {
-            name: ModalMotion(np.array(data[name]["eta"]), np.array(data[name]["rate"]))
-            for name in ("base", "now")
-        }
-        if any(len(m.eta) != len(self.string.modes.omega) for m in motions.values()):
+        motions = {name: np.array(data[name]) for name in ("base", "now")}
+        if any(motion.shape != self.watched.c.shape for motion in motions.values()):
             raise BadState("the saved state is of an observer with another number of elements")
         self._state = Estimate(
             **dict(data)
             | motions
             | {
                 "trolley": Trolley(**data["trolley"]),
-                "since": tuple(Segment(**one) for one in data["since"]),
-                "coming": tuple(Sample(**one) for one in data["coming"]),
+                "since": tuple(Segment(*one) for one in data["since"]),
+                "coming": tuple(Sample(*one) for one in data["coming"]),
             }
         )
+
+
+def _plain(part: Any) -> Any:
+    """What JSON has no word for: an array, the trolley."""
+    return part.tolist() if isinstance(part, np.ndarray) else asdict(part)
