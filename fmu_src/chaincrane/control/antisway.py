@@ -9,9 +9,10 @@ computed it.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from math import hypot
-from typing import Any
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -191,15 +192,11 @@ class AntiSwayInput:
     mode_vx_rel_4: float = _share("vx_rel", "m/s", 4)
     wind_fx: float = held_input("wind.fx", "N", "estimated steady force on the payload")
 
-    def modes(self, count: int) -> list[float]:
-        """Share of payload.x_rel and its rate, m and m/s, of each of the first ``count`` modes."""
-        pairs = (
-            (self.mode_x_rel_1, self.mode_vx_rel_1),
-            (self.mode_x_rel_2, self.mode_vx_rel_2),
-            (self.mode_x_rel_3, self.mode_vx_rel_3),
-            (self.mode_x_rel_4, self.mode_vx_rel_4),
-        )
-        return [value for pair in pairs[:count] for value in pair]
+
+def _told_state(modes: int) -> Any:
+    """What takes trolley, and share and rate of each of the first modes, from an input."""
+    shares = ((f"mode_x_rel_{i}", f"mode_vx_rel_{i}") for i in range(1, modes + 1))
+    return attrgetter("trolley_x", "trolley_v", *(name for pair in shares for name in pair))
 
 
 @dataclass(frozen=True)
@@ -213,9 +210,8 @@ class Designed:
     plan_Bd: Array
 
 
-@dataclass(frozen=True)
-class Drive:
-    """All that the controller carries from step to step."""
+class Drive(NamedTuple):
+    """All that the controller carries from step to step; a tuple, as the observer's state is."""
 
     time: float = 0.0  # s
     a: float = 0.0  # m/s2, commanded now
@@ -224,8 +220,8 @@ class Drive:
     goal: float | None = None  # m, where the move ends; None: no move yet
     begun: float = 0.0  # s, when it began
     anew: int = 0  # plans in a row that a deviation has asked for
-    move: Move = field(default_factory=Move)
-    reference: tuple[float, ...] = ()  # the plan's state now
+    move: Move = Move()
+    reference: Array = np.zeros(0)  # the plan's state now
     reference_a: float = 0.0  # m/s2, the plan's acceleration over the last step
 
 
@@ -248,9 +244,12 @@ class AntiSway(ControlPart):
             one.lag,
         )
         self.weights, self.tolerance, self.deviation = self._sizes()
+        self._moved_omega = self.string.modes.omega[: min(MOVED, self.modes)].tolist()
+        self._told_state = _told_state(self.modes)
+        self._held_by_wind = self._steady()
         self.warning: str | None = None  # what a user should be told of this design
         self._designs: dict[float, Designed] = {}
-        self._state = Drive()
+        self._state: Drive = Drive()
 
     def _worth_planning(self) -> int:
         """Modes up to the last one that holds a SHARE of the payload's sway.
@@ -308,13 +307,13 @@ class AntiSway(ControlPart):
         state = self._state
         start_v = told.trolley_v if state.v is None else state.v
         _, follows = followed(state.follows, state.a, h, self.settings.lag)
-        state = replace(state, time=state.time + h, v=start_v + h * state.a, follows=follows)
+        state = state._replace(time=state.time + h, v=start_v + h * state.a, follows=follows)
         if self.settings.method in FEEDBACK:
             state, wanted = self._regulated(state, h, told)
         else:
             state = self._moving(state, h, told.trolley_x, told.target_x)
             wanted = state.move.mean(state.time - state.begun, h)
-        self._state = replace(state, a=self.limited(wanted, float(state.v or 0.0), h))
+        self._state = state._replace(a=self.limited(wanted, state.v or 0.0, h))
 
     # --- in closed loop -----------------------------------------------------------------------
 
@@ -325,31 +324,35 @@ class AntiSway(ControlPart):
         if self.settings.method == "lqr":
             far = CRUISE * self.settings.limits.velocity * one.K[1] / one.K[0]
             x[0] = min(max(x[0] - told.target_x, -far), far)
-            return state, state.a - h * float(one.K @ np.append(x, state.a))
+            return state, state.a - h * _jerk(one.K, x, state.a)
         state = self._referred(state, one, x, h, told.target_x)
-        off = x - self._fed_back(np.array(state.reference))
+        off = x - self._fed_back(state.reference)
         before = state.a - state.reference_a
         ahead = state.move.mean(state.time - state.begun, h)
-        wanted = ahead + before - h * float(one.K @ np.append(off, before))
-        return replace(state, reference_a=ahead), wanted
+        wanted = ahead + before - h * _jerk(one.K, off, before)
+        return state._replace(reference_a=ahead), wanted
+
+    def _steady(self) -> Array:
+        """Trolley and fed back modes at rest under 1 N of wind, the payload on its target.
+
+        The trolley stands to windward of it.
+        """
+        string, modes = self.string, self.modes
+        held = np.zeros(2 + 2 * modes + (self.settings.lag > 0.0))
+        held[0] = -string.end_by_force
+        held[2 : 2 + 2 * modes : 2] = string.end[:modes] ** 2 / string.modes.omega[:modes] ** 2
+        return held
 
     def _predicted(self, one: Designed, told: AntiSwayInput) -> Array:
-        """Trolley and fed back modes at the end of the step, relative to where a wind holds them.
-
-        The trolley stands to windward of the payload, which is to be on the target.
-        """
-        string, wind = self.string, told.wind_fx
-        shares = np.zeros(2 * self.modes)
-        shares[::2] = string.end[: self.modes] ** 2 / string.modes.omega[: self.modes] ** 2 * wind
-        x = np.append((told.trolley_x, told.trolley_v), told.modes(self.modes) - shares)
-        x[0] += string.end_by_force * wind
-        before = self._state
-        if self.settings.lag:
-            x = np.append(x, before.follows)
+        """Trolley and fed back modes at the end of the step, less where a wind holds them."""
+        before, lag = self._state, self.settings.lag
+        follows = (before.follows,) if lag else ()
+        x: Array = np.array((*self._told_state(told), *follows))
+        x -= told.wind_fx * self._held_by_wind
         if self.settings.inputs_at == "start":
             x = one.Ad @ x + one.Bd[:, 0] * before.a
-        elif self.settings.lag:
-            x[-1] = followed(before.follows, before.a, 1.0, self.settings.lag)[1]
+        elif lag:
+            x[-1] = followed(before.follows, before.a, 1.0, lag)[1]
         return x
 
     def _fed_back(self, reference: Array) -> Array:
@@ -360,62 +363,56 @@ class AntiSway(ControlPart):
     def _referred(self, state: Drive, one: Designed, x: Array, h: float, target: float) -> Drive:
         """The reference at the step's end, planned anew for another target or a deviation."""
         if state.goal is None:
-            state = replace(state, goal=float(x[0]), reference=self._from_estimate(None, x))
+            state = state._replace(goal=float(x[0]), reference=self._from_estimate(None, x))
         else:
             reference = one.plan_Ad @ state.reference + one.plan_Bd[:, 0] * state.reference_a
-            state = replace(state, reference=tuple(reference.tolist()))
+            state = state._replace(reference=reference)
         since = state.time - state.begun
         if target != state.goal and (not state.move.a or since >= HASTE * self.model.period):
-            state = replace(state, anew=0)
+            state = state._replace(anew=0)
             before = state.reference_a if state.move.a else state.a
             try:
                 return self._planned(state, state.reference, before, h, target)
             except plan.NoPlan as error:
                 raise BadValue("target.x", target, f"one that a plan reaches: {error}") from None
         if self._beside(x, state.reference) <= self.deviation:
-            return replace(state, anew=0) if since >= state.move.end else state
+            return state._replace(anew=0) if state.anew and since >= state.move.end else state
         if since < PAUSE * self.model.period * 2.0**state.anew:
             return state
-        state = replace(state, anew=min(state.anew + 1, MOST_ANEW))
+        state = state._replace(anew=min(state.anew + 1, MOST_ANEW))
         try:
             anew = self._from_estimate(state.reference, x)
-            return self._planned(state, anew, state.a, h, float(state.goal or 0.0))
+            return self._planned(state, anew, state.a, h, state.goal or 0.0)
         except plan.NoPlan:
             return state
 
-    def _from_estimate(self, reference: tuple[float, ...] | None, x: Array) -> tuple[float, ...]:
+    def _from_estimate(self, reference: Array | None, x: Array) -> Array:
         """A plan's state from an estimate; modes beyond MOVED as the plan has them."""
         size = len(self.model.A)
-        whole_state = np.zeros(size) if reference is None else np.array(reference)
+        whole_state = np.zeros(size) if reference is None else reference.copy()
         moved = 2 + 2 * min(MOVED, self.modes)
         whole_state[:moved] = x[:moved]
         if self.settings.lag:
             whole_state[-1] = x[-1]
-        return tuple(whole_state.tolist())
+        return whole_state
 
-    def _beside(self, x: Array, reference: tuple[float, ...]) -> float:
+    def _beside(self, x: Array, reference: Array) -> float:
         """Sway beside the plan, m: the amplitudes of the modes that a plan would take over."""
-        omega = self.string.modes.omega
-        return sum(
-            hypot(
-                x[2 + 2 * mode] - reference[2 + 2 * mode],
-                (x[3 + 2 * mode] - reference[3 + 2 * mode]) / omega[mode],
-            )
-            for mode in range(min(MOVED, self.modes))
-        )
+        moved = slice(2, 2 + 2 * min(MOVED, self.modes))
+        off = (x[moved] - reference[moved]).tolist()
+        off_by_rate = (v / omega for v, omega in zip(off[1::2], self._moved_omega, strict=True))
+        return sum(map(hypot, off[::2], off_by_rate))
 
-    def _planned(
-        self, state: Drive, reference: tuple[float, ...], a: float, h: float, target: float
-    ) -> Drive:
+    def _planned(self, state: Drive, reference: Array, a: float, h: float, target: float) -> Drive:
         """A new plan from a state of trolley and modes and a commanded acceleration."""
-        x = np.array(reference)
+        x = reference.copy()
         x[0] -= target
         margins = plan.Margins(spare=self.settings.spare)
         start = plan.Start(x, a)
         limits = self.settings.limits
         move = plan.plan(self.model, start, limits, self.tolerance, margins, h)
-        return replace(
-            state, goal=target, begun=state.time, move=move, reference=reference, reference_a=a
+        return state._replace(
+            goal=target, begun=state.time, move=move, reference=reference, reference_a=a
         )
 
     # --- open loop ----------------------------------------------------------------------------
@@ -424,12 +421,12 @@ class AntiSway(ControlPart):
         """Begin an open-loop move where the last one has ended and the target is another."""
         goal = x if state.goal is None else state.goal
         if state.time - state.begun < state.move.end or target == goal:
-            return replace(state, goal=goal)
+            return state._replace(goal=goal)
         try:
             move = self._open_move(target - goal, h)
         except plan.NoPlan as error:
             raise BadValue("target.x", target, f"one that a plan reaches: {error}") from None
-        return replace(state, goal=target, begun=state.time, move=move)
+        return state._replace(goal=target, begun=state.time, move=move)
 
     def _open_move(self, distance: float, h: float) -> Move:
         limits, omega = self.settings.limits, self.string.modes.omega.tolist()
@@ -458,12 +455,13 @@ class AntiSway(ControlPart):
         """All outputs by their FMU names, in SI units, in the interface's order."""
         return {"trolley.a_cmd": self._state.a}
 
-    def save(self) -> bytes:
-        """The whole state, bit for bit (a float's repr is exact); the settings are not in it."""
-        return json.dumps(asdict(self._state)).encode()
-
     def load(self, state: bytes) -> None:
         """Restore what :meth:`save` gave, in a controller with the same settings."""
         data = json.loads(state)
         move = Move(tuple(data["move"]["times"]), tuple(data["move"]["a"]))
-        self._state = Drive(**data | {"move": move, "reference": tuple(data["reference"])})
+        self._state = Drive(**data | {"move": move, "reference": np.array(data["reference"])})
+
+
+def _jerk(K: Array, x: Array, a: float) -> float:
+    """What the regulator makes of a state and a commanded acceleration, K [x; a], m/s3."""
+    return float(K[:-1] @ x + K[-1] * a)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from typing import Any
+
+import numpy as np
 
 from ..plant.chain import discretise
 from ..plant.parameters import Crane, Initial, Numerics, check
@@ -22,10 +25,20 @@ class ControlPart(WholeSteps):
     """What observer and controller have alike: they are run step by step, like a crane."""
 
     start_time = 0.0  # s, the host's
+    _state: Any  # a named tuple: all that is carried from step to step
+
+    def save(self) -> bytes:
+        """The whole state, bit for bit (a float's repr is exact); the settings are not in it."""
+        return json.dumps(self._state._asdict(), default=_plain).encode()
 
     def notice(self) -> str | None:
         """Nothing: what a part does is told by its outputs."""
         return None
+
+
+def _plain(part: Any) -> Any:
+    """What JSON has no word for in a state: an array, or a dataclass."""
+    return part.tolist() if isinstance(part, np.ndarray) else asdict(part)
 
 
 # The crane's parameters that a taut string, which does not stretch, has a use for.

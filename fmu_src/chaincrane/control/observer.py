@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from math import atan, atan2, pi, sqrt
 from typing import Any, NamedTuple
 
@@ -271,7 +271,7 @@ class CraneObserver(ControlPart):
         self._filters: dict[float, kalman.Filter] = {}
         self._deviations: dict[tuple[float, float], list[float]] = {}
         rest = np.zeros_like(c)
-        self._state = Estimate(rest, rest, trolley=Trolley(v=one.speed))
+        self._state: Estimate = Estimate(rest, rest, trolley=Trolley(v=one.speed))
         self.filter_for(self.clock.sample_time)
 
     def _sights(self) -> tuple[Array, Array]:
@@ -531,10 +531,6 @@ class CraneObserver(ControlPart):
         values["sensor.left_out"] = state.left_out
         return values
 
-    def save(self) -> bytes:
-        """The whole state, bit for bit (a float's repr is exact); the settings are not in it."""
-        return json.dumps(self._state._asdict(), default=_plain).encode()
-
     def load(self, state: bytes) -> None:
         """Restore what :meth:`save` gave, in an observer with the same settings.
 
@@ -553,8 +549,3 @@ class CraneObserver(ControlPart):
                 "coming": tuple(Sample(*one) for one in data["coming"]),
             }
         )
-
-
-def _plain(part: Any) -> Any:
-    """What JSON has no word for: an array, the trolley."""
-    return part.tolist() if isinstance(part, np.ndarray) else asdict(part)
