@@ -196,7 +196,8 @@ def test_a_target_without_a_plan_is_refused_and_the_old_one_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(plan, "MOST_CELLS", 10)  # too few to stop three modes
-    control = AntiSway()
+    own = Crane(payload=Payload(0.321))  # a crane of its own, as moves are kept
+    control = AntiSway(AntiSwaySettings(own))
     control.step(0.01, AntiSwayInput())
     before = control.save()
     with pytest.raises(BadValue, match=r"target.x = 1.0 is not allowed: one that a plan reaches"):

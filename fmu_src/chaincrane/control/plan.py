@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, floor, inf, pi, sqrt
 from typing import Any
 
@@ -35,12 +36,14 @@ MOST_CELLS = 400
 MORE_CELLS = (0, 4, 12, 28, 60)  # beyond what it is given, that a plan may take to keep its jerk
 LONG = 2.5  # periods of mode 1 of cruise: a longer move is planned ramp by ramp
 TAIL = 0.5  # periods of mode 1 from settling to rest
+SETTLING = 0.08  # periods of mode 1 that settling takes longer than the trolley alone, about
 ROBUST = 3  # modes
 SPREAD = 0.05  # of each frequency: a length wrong by a tenth
 JERK_WEIGHT = 0.02  # of a jerk of A omega_1 beside a sway of A/omega_1^2
 AT_REST = 1e-9  # of A/omega_1^2 and its rates: as good as at rest
 TIGHT = 0.05  # of the distance: what the tolerance is at most
 _DIGITS = 9  # of a start's units: below, hosts' clocks differ
+_KEPT = 64  # moves from rest, of all cranes of a process
 
 
 class NoPlan(Exception):
@@ -68,14 +71,26 @@ class Start:
     a: float  # m/s2, commanded
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
-    """What is planned for: :func:`regulator.design_model`'s matrices and its modes."""
+    """What is planned for: :func:`regulator.design_model`'s matrices and its modes.
+
+    Two are equal where all their bits are.
+    """
 
     A: Array
     B: Array
     omega: Array  # rad/s, of the planned modes
     lag: float  # s, of the drive
+
+    def _bits(self) -> tuple[bytes, bytes, bytes, float]:
+        return self.A.tobytes(), self.B.tobytes(), self.omega.tobytes(), self.lag
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Model) and self._bits() == other._bits()
+
+    def __hash__(self) -> int:
+        return hash(self._bits())
 
     def commanded(self, x: Array) -> float:
         """Velocity, m/s, that the commands have added up to where the state is ``x``.
@@ -118,18 +133,25 @@ def _from_rest(
     model: Model, distance: float, limits: Limits, tolerance: float, margins: Margins, h: float
 ) -> Move:
     """From rest a move and its mirror image are one, and a short one is a longer one scaled."""
-    length = abs(distance)
-    least = max(length, 0.1 * tolerance)
+    least = max(abs(distance), 0.1 * tolerance)
+    move = _forwards(model, least, limits, min(tolerance, TIGHT * least), margins, h)
+    return move.scaled(distance / least)
+
+
+@lru_cache(_KEPT)
+def _forwards(
+    model: Model, distance: float, limits: Limits, tolerance: float, margins: Margins, h: float
+) -> Move:
+    """The move from rest to rest ``distance`` m ahead, kept: the same is asked for again."""
     x = np.zeros(len(model.A))
-    x[0] = -least
-    still = Start(x, 0.0)
-    move = _planned(model, still, limits, min(tolerance, TIGHT * least), margins, h)
+    x[0] = -distance
+    move = _planned(model, Start(x, 0.0), limits, tolerance, margins, h)
     v, gone = 0.0, 0.0
     for begin, end, a in zip(move.times, move.times[1:], move.a, strict=False):
         gone += (end - begin) * (v + 0.5 * a * (end - begin))
         v += a * (end - begin)
-    exact = least / gone  # what the solver's tolerance has left open
-    return move.scaled(distance / least * min(exact, 1.0 + 1e-6))
+    exact = distance / gone  # what the solver's tolerance has left open
+    return move.scaled(min(exact, 1.0 + 1e-6))
 
 
 def _planned(
@@ -231,7 +253,8 @@ class _Program:
             within = (N, N + tail, band)
             return self._solve(N + tail, goal, 0.0, smooth, within)
 
-        fewest = _fewest(lambda N: solved(N, False) is not None, round(fastest / self.dt))
+        guess = round((fastest + SETTLING * self.model.period) / self.dt)
+        fewest = _fewest(lambda N: solved(N, False) is not None, guess)
         return self._smooth(solved, fewest, round(self.margins.spare * fewest))
 
     def ramp(self, v: float, spare: float) -> tuple[Move, float]:
@@ -271,26 +294,24 @@ class _Program:
             return None
         step = self.dt * float(self.model.omega[0])
         V, A = self._bounds(M)
-        one, none = sparse.identity(M, format="csr"), sparse.csr_matrix((1, M))
-        behind = sparse.diags([np.ones(M), -np.ones(M - 1)], [0, -1], format="csr")
+        one, none = np.eye(M), np.zeros((1, M))
+        behind = one - np.eye(M, k=-1)
         v0 = self.v / self.scale.v
         ends = self.nominal.rows(np.eye(len(goal)), M)
         free = np.arange(len(goal)) if within else np.arange(1, len(goal))  # a ramp's way is open
         # The most jerk, and the most sway left in each of the modes that are made robust.
         extra = 1 + min(len(self.model.omega), ROBUST)
 
-        def wide(cells: Any, velocities: Any = None, unit: int | None = None, by: Any = 0.0) -> Any:
-            """Rows of cells and end velocities, and ``by`` in the column of an extra unknown."""
-            height = cells.shape[0]
-            columns = np.zeros((height, extra))
+        def wide(cells: Array, unit: int | None = None, by: float = 0.0) -> Array:
+            """Rows of cells, and ``by`` in the column of an extra unknown; no end velocities."""
+            rows = np.zeros((len(cells), 2 * M + extra))
+            rows[:, :M] = cells
             if unit is not None:
-                columns[:, unit] = by
-            if velocities is None:
-                velocities = sparse.csr_matrix((height, M))
-            parts = [sparse.csr_matrix(cells), velocities, sparse.csr_matrix(columns)]
-            return sparse.hstack(parts, format="csr")
+                rows[:, 2 * M + unit] = by
+            return rows
 
-        equal = [wide(-step * one, behind), wide(ends[free])]
+        gained = np.hstack((-step * one, behind, np.zeros((M, extra))))
+        equal = [gained, wide(ends[free])]
         first = np.zeros(M)
         first[0] = v0
         equal_to = [first, (goal - self.nominal.free(M))[free]]
@@ -306,7 +327,7 @@ class _Program:
             less_than += [band - drift, band + drift]
         cost = np.zeros(2 * M + extra)
         if smooth:
-            jerk = sparse.vstack([one, none]) - sparse.vstack([none, one])
+            jerk = np.vstack((one, none)) - np.vstack((none, one))
             a0 = np.zeros(M + 1)
             a0[0] = self.start.a / self.scale.a
             for sign in (1.0, -1.0):
@@ -323,9 +344,9 @@ class _Program:
         bounds[2 * M - 1] = (v / self.scale.v,) * 2
         found: Any = linprog(
             cost,
-            A_ub=sparse.vstack(less, format="csr") if less else None,
+            A_ub=sparse.csr_matrix(np.vstack(less)) if less else None,
             b_ub=np.concatenate(less_than) if less else None,
-            A_eq=sparse.vstack(equal, format="csr"),
+            A_eq=sparse.csr_matrix(np.vstack(equal)),
             b_eq=np.concatenate(equal_to),
             bounds=bounds,
             method="highs",
@@ -363,16 +384,21 @@ class _Program:
 
 
 def _fewest(possible: Callable[[int], bool], guess: int) -> int:
-    """The smallest number from 1 on for which ``possible``, near ``guess``, by bisection."""
-    low, high, more = 0, max(1, guess), max(16, guess // 4)
-    while not possible(high):
-        low, high, more = high, high + more, 3 * more
-        if high > MOST_CELLS:
-            raise NoPlan(f"none of up to {low} cells keeps the limits and ends at rest")
-    less = max(4, guess // 8)
-    while low < high - less and possible(high - less):
-        high -= less
-    low = max(low, high - less)
+    """The smallest number from 1 on for which ``possible``: steps from ``guess``, then bisection.
+
+    The first step is of 2, each further one twice as long.
+    """
+    low, high, step = 0, max(1, guess), 2
+    if possible(high):
+        while high > step and possible(high - step):
+            high, step = high - step, 2 * step
+        low = max(0, high - step)
+    else:
+        low, high, step = high, high + step, 2 * step
+        while not possible(high):
+            low, high, step = high, high + step, 2 * step
+            if high > MOST_CELLS:
+                raise NoPlan(f"none of up to {low} cells keeps the limits and ends at rest")
     while high - low > 1:
         middle = (low + high) // 2
         if possible(middle):
