@@ -6,7 +6,7 @@ gave at the step's start. `sequential`: crane, observer, controller, each with w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -111,6 +111,36 @@ class Loop:
         parts = {name: instances.get(fmu, name) for name, fmu in self.fmus.items()}
         instances.log.said.clear()
         return _Run(self, parts, instances).result(progress)
+
+
+@dataclass(frozen=True)
+class Series:
+    """Loops that one worker runs in a row: what they have alike, a plan say, its FMUs make once."""
+
+    loops: Sequence[Loop]
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return self.loops[0].name
+
+    @property
+    def stop_time(self) -> float:
+        """Simulated time of all, s."""
+        return sum(loop.stop_time for loop in self.loops)
+
+    def run(self, instances: Instances, progress: Progress | None = None) -> list[Table]:
+        """Each loop's result. Raises UserError."""
+        results, done = [], 0.0
+        for loop in self.loops:
+            results.append(loop.run(instances, _later(progress, done)))
+            done += loop.stop_time
+        return results
+
+
+def _later(progress: Progress | None, start: float) -> Progress | None:
+    """What is told a time ``start`` s later."""
+    return None if progress is None else lambda time: progress(start + time)
 
 
 class _Run:

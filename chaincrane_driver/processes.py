@@ -274,8 +274,8 @@ def do_all(workers: Workers, work: Sequence[Work], label: str) -> list[Any]:
     return [results[number] for number in range(len(work))]
 
 
-def simulate_all(jobs: Sequence[Timed], label: str) -> list[Table]:
-    """Run each job in one of a few workers, with a progress bar; the results in the jobs' order.
+def simulate_all(jobs: Sequence[Timed], label: str) -> list[Any]:
+    """Run each job in one of a few workers, with a progress bar; what it gave, in the jobs' order.
 
     Raises UserError for the first job that fails.
     """

@@ -17,7 +17,7 @@ import numpy as np
 from . import plots
 from .antisway import HEAVY, LIGHT, NOISE, PUSH, Setup, estimation_error
 from .compare import markdown_table
-from .loop import ANTISWAY, CRANE, OBSERVER, Loop, column
+from .loop import ANTISWAY, CRANE, OBSERVER, Loop, Series, column
 from .processes import simulate_all
 from .tables import Table
 
@@ -196,10 +196,26 @@ def files(fmus: Path) -> set[Path]:
     return {file for case in cases() for file in case.loop(fmus).fmus.values()}
 
 
+def _tables(loops: Sequence[Loop]) -> list[Table]:
+    """Run the loops, those of one controller as a series, the longest series first."""
+    alike: dict[Any, list[int]] = {}
+    for place, loop in enumerate(loops):
+        alike.setdefault(tuple(sorted(loop.start[ANTISWAY].items())), []).append(place)
+    series = {tuple(places): Series([loops[k] for k in places]) for places in alike.values()}
+    order = sorted(series, key=lambda places: series[places].stop_time, reverse=True)
+    done = simulate_all([series[places] for places in order], "study")
+    tables = {
+        place: table
+        for places, results in zip(order, done, strict=True)
+        for place, table in zip(places, results, strict=True)
+    }
+    return [tables[place] for place in range(len(loops))]
+
+
 def run(fmus: Path) -> Results:
     """Run the whole study from the FMU files of a folder."""
     every = list(cases())
-    tables = simulate_all([case.loop(fmus) for case in every], "study")
+    tables = _tables([case.loop(fmus) for case in every])
     found: dict[str, dict[tuple[str, ...], list[Measured]]] = {}
     shown: dict[tuple[str, ...], Table] = {}
     for case, table in zip(every, tables, strict=True):
