@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,20 +42,32 @@ def read_table(path: Path) -> Table:
     header = [name.strip() for name in rows[0]]
     if header[0] != "time" or len(set(header)) != len(header):
         raise UserError(f"{path}: the header needs 'time' first and no name twice")
-    table = np.zeros(len(rows) - 1, dtype=[(name, float) for name in header])
+    try:
+        values = np.array(rows[1:], dtype=float)
+    except ValueError:  # a word, or rows of unequal lengths
+        raise _bad_cell(path, header, rows) from None
+    if values.shape[1] != len(header) or not np.isfinite(values).all():
+        raise _bad_cell(path, header, rows)
+    table = np.zeros(len(values), dtype=[(name, float) for name in header])
+    for name, column in zip(header, values.T, strict=True):
+        table[name] = column
+    if np.any(np.diff(table["time"]) < 0):
+        raise UserError(f"{path}: the time goes backwards")
+    return table
+
+
+def _bad_cell(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> UserError:
+    """What is wrong with the first row that does not fit its header, or the first bad number."""
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(header):
-            raise UserError(f"{path}, row {number}: {len(row)} values for {len(header)} columns")
+            return UserError(f"{path}, row {number}: {len(row)} values for {len(header)} columns")
         for name, text in zip(header, row, strict=True):
             value = np.nan
             with contextlib.suppress(ValueError):
                 value = float(text)
             if not np.isfinite(value):
-                raise UserError(f"{path}, row {number}, {name}: {text!r} is not a finite number")
-            table[name][number - 2] = value
-    if np.any(np.diff(table["time"]) < 0):
-        raise UserError(f"{path}: the time goes backwards")
-    return table
+                return UserError(f"{path}, row {number}, {name}: {text!r} is not a finite number")
+    return UserError(f"{path}: not a table of numbers")
 
 
 def write_table(path: Path, table: Table, digits: int = 16) -> None:
