@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 from . import checking, compare, crosscheck, scenario, shipped
 from .errors import UserError, instead
@@ -14,7 +16,9 @@ from .processes import Failure, simulate_all, simulate_each
 from .scenario import Run, Scenario
 from .simulate import Job
 from .stale import say_if_stale
-from .tables import Table, read_table, write_table
+from .tables import read_table, write_table
+
+Given = TypeVar("Given")
 
 FMI_PLATFORM = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
 
@@ -88,47 +92,43 @@ def _checked(options: argparse.Namespace) -> list[checking.Verdict]:
     runs = _runs_to_check(options)
     if options.results is None:
         jobs = _jobs(options, runs)
-        results = simulate_each(jobs, "check")
         names = [job.name for job in jobs]
+        work = [compare.Comparison(*run, job) for run, job in zip(runs, jobs, strict=True)]
+        found = simulate_each(work, "check")
     else:
         paths = [options.results / one.name / f"{run.name}.csv" for one, run in runs]
-        results = [_read(path) for path in paths]
         names = [str(path) for path in paths]
+        found = [_compared(*run, path) for run, path in zip(runs, paths, strict=True)]
+    units = cache(_units)  # an FMU has many runs
     verdicts = []
-    for (one, run), result, name in zip(runs, results, names, strict=True):
+    for (one, run), name, result in zip(runs, names, found, strict=True):
         verdict = checking.Verdict(one.name, run.label, name)
         try:
-            found = compare.deviations(one, run, _there(result), _reference(one, run))
-            verdict = replace(verdict, deviations=found, units=_units(options, run))
+            fmu = options.fmu or shipped.fmu(options.fmus, run.fmu)
+            verdict = replace(verdict, deviations=_there(result), units=units(fmu))
         except UserError as error:
             verdict = replace(verdict, trouble=str(error))
         verdicts.append(verdict)
     return verdicts
 
 
-def _read(path: Path) -> Table | Failure:
+def _compared(one: Scenario, run: Run, path: Path) -> list[compare.Deviation] | Failure:
+    """A result in a CSV file against its run's reference."""
     try:
-        return read_table(path)
+        return compare.against_reference(one, run, read_table(path))
     except UserError as error:
         return Failure(error)
 
 
-def _there(result: Table | Failure) -> Table:
-    """A run's result. Raises UserError where it failed."""
+def _there(result: Given | Failure) -> Given:
+    """What a run gave. Raises UserError where it failed."""
     if isinstance(result, Failure):
         raise UserError(result)
     return result
 
 
-def _reference(one: Scenario, run: Run) -> Table:
-    if not one.reference(run).exists():
-        raise UserError("has no reference; make one with --update")
-    return read_table(one.reference(run))
-
-
-def _units(options: argparse.Namespace, run: Run) -> dict[str, str | None]:
+def _units(fmu: Path) -> dict[str, str | None]:
     """Units of an FMU's variables; none where only its results are here."""
-    fmu = options.fmu or shipped.fmu(options.fmus, run.fmu)
     if not fmu.exists():
         return {}
     return {variable.name: variable.unit for variable in describe(fmu).modelVariables}

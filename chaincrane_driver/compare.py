@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import UserError, instead
+from .instances import Instances
+from .progress import Progress
 from .scenario import Run, Scenario, checked_rules, read_toml
 from .shipped import TOLERANCES
-from .tables import Table
+from .simulate import Job
+from .tables import Table, read_table
 
 IN_THOUSANDTHS = ("m", "m/s", "rad")  # shown in mm, mm/s, mrad
 COST = ("solver.steps", "solver.iterations")  # what a run costs, not what it gives
@@ -225,6 +228,37 @@ def deviations(scenario: Scenario, run: Run, result: Table, reference: Table) ->
         )
         for name in reference.dtype.names[1:]
     ]
+
+
+def against_reference(scenario: Scenario, run: Run, result: Table) -> list[Deviation]:
+    """Compare a result with the frozen one of its run, signal by signal. Raises UserError."""
+    path = scenario.reference(run)
+    if not path.exists():
+        raise UserError("has no reference; make one with --update")
+    return deviations(scenario, run, result, read_table(path))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A run and its comparison as a worker's work: what travels back is no series."""
+
+    scenario: Scenario
+    of: Run
+    job: Job
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return self.job.name
+
+    @property
+    def stop_time(self) -> float:
+        """Simulated time, s."""
+        return self.job.stop_time
+
+    def run(self, instances: Instances, progress: Progress | None = None) -> list[Deviation]:
+        """Simulate in this process, and compare with the reference. Raises UserError."""
+        return against_reference(self.scenario, self.of, self.job.run(instances, progress))
 
 
 def _fits(pattern: str, name: str) -> bool:

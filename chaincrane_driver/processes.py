@@ -283,11 +283,9 @@ def simulate_all(jobs: Sequence[Timed], label: str) -> list[Any]:
     return [result for result in results if not isinstance(result, Failure)]
 
 
-def simulate_each(
-    jobs: Sequence[Timed], label: str, give_up: bool = False
-) -> list[Table | Failure]:
+def simulate_each(jobs: Sequence[Timed], label: str, give_up: bool = False) -> list[Any]:
     """The same, with a Failure for a job that fails; ``give_up``: raises UserError at the first."""
-    results: dict[int, Table | Failure] = {}
+    results: dict[int, Any] = {}
     reached = dict.fromkeys(range(len(jobs)), 0.0)
     total = sum(job.stop_time for job in jobs)
     layout = "{l_bar}{bar}| {n:.1f} of {total:.1f} s simulated, {remaining} to go"

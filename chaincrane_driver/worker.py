@@ -18,7 +18,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import partial
+from time import monotonic
 from typing import Any, BinaryIO, Protocol
 
 from .errors import UserError, one_line
@@ -26,6 +26,7 @@ from .instances import Instances
 from .progress import Progress
 
 READY, AT, DONE, FAILED = "ready", "at", "done", "failed"
+PAUSE = 0.1  # s, between two messages of the time that a run has reached
 
 
 class Work(Protocol):
@@ -61,12 +62,21 @@ def serve(take: BinaryIO, tell: Callable[[Any], None], reports: bool) -> None:
         except EOFError:
             return
         for number, work in batch:
-            progress = partial(_report, tell, number) if reports else None
+            progress = _reporter(tell, number) if reports else None
             tell(attempt(number, work, instances, progress))
 
 
-def _report(tell: Callable[[Any], None], number: int, time: float) -> None:
-    tell((AT, number, time))
+def _reporter(tell: Callable[[Any], None], number: int) -> Progress:
+    """What a run tells its progress; it is passed on as often as somebody can see it move."""
+    told = monotonic()
+
+    def report(time: float) -> None:
+        nonlocal told
+        if monotonic() - told >= PAUSE:
+            told = monotonic()
+            tell((AT, number, time))
+
+    return report
 
 
 def main(folder: str, reports: bool) -> None:
