@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Collection
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from math import atan2
+from operator import itemgetter
 
 import numpy as np
 
@@ -17,6 +18,10 @@ from .interface import MATERIAL_POINTS, OUTPUTS, SHARED_STATE
 from .ledger import Effort, Ledger
 from .parameters import Crane, Initial, Numerics, check
 from .trolley import Trolley, checked_move, equal_parts
+
+_NAMES = tuple(variable.name for variable in OUTPUTS)
+_ORDERED = itemgetter(*_NAMES)  # of outputs by name
+_X, _Y = ([f"chain.{axis}[{i}]" for i in range(1, MATERIAL_POINTS + 1)] for axis in "xy")
 
 
 def material_fractions() -> Array:
@@ -72,7 +77,8 @@ class CraneModel(WholeSteps):
         the motion cannot be had; the crane is then as it was before the call.
         """
         after = checked_move(self.trolley, self.numerics.max_step, h, command)
-        start = replace(self.trolley, v=self.trolley.commanded(command))
+        before = self.trolley
+        start = Trolley(before.x, before.commanded(command), before.gained)
         self._advance(h, start, command)
         self.trolley = after
         self.time += h
@@ -174,8 +180,16 @@ class CraneModel(WholeSteps):
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
+        return dict(zip(_NAMES, self.output_values(), strict=True))
+
+    def output_values(self) -> list[float]:
+        """All outputs in the interface's order, in SI units."""
         posture, trolley, ledger = self._posture(), self.trolley, self.ledger
-        x_rel, y_rel = float(posture.payload[0]), float(posture.payload[1])
+        points = posture.points.tolist()
+        middle = points.pop()
+        x_rel, y_rel = posture.payload.tolist()
+        vx_rel, vy = posture.payload_w.tolist()
+        top_x, top_y = posture.node1.tolist()
         energy = self.energy
         values = {
             "trolley.x": trolley.x,
@@ -183,24 +197,20 @@ class CraneModel(WholeSteps):
             "trolley.impulse": self.impulse,
             "payload.x": trolley.x + x_rel,
             "payload.y": y_rel,
-            "payload.vx": trolley.v + float(posture.payload_w[0]),
-            "payload.vy": float(posture.payload_w[1]),
+            "payload.vx": trolley.v + vx_rel,
+            "payload.vy": vy,
             "payload.x_rel": x_rel,
             "payload.sway_angle": atan2(x_rel, -y_rel),
-            "chain.mid_x_rel": float(posture.points[-1, 0]),
-            "chain.top_angle": atan2(float(posture.node1[0]), -float(posture.node1[1])),
+            "chain.mid_x_rel": middle[0],
+            "chain.top_angle": atan2(top_x, -top_y),
             "energy.total": energy,
             "energy.dissipated": ledger.dissipated,
             "energy.error": energy - ledger.expected,
             "solver.steps": self.effort.steps,
             "solver.iterations": self.effort.iterations,
+            **self._own_outputs(),
         }
-        points = posture.points[:MATERIAL_POINTS].tolist()
-        for i, (x, _) in enumerate(points, start=1):
-            values[f"chain.x[{i}]"] = trolley.x + x
-        for i, (_, y) in enumerate(points, start=1):
-            values[f"chain.y[{i}]"] = y
-        values |= self._own_outputs()
-        ordered = {variable.name: values.pop(variable.name) for variable in OUTPUTS}
-        assert not values, f"not in the table of outputs: {sorted(values)}"
-        return ordered
+        values.update(zip(_X, [trolley.x + x for x, _ in points], strict=True))
+        values.update(zip(_Y, [y for _, y in points], strict=True))
+        assert len(values) == len(_NAMES), f"not in the table of outputs, one of: {list(values)}"
+        return list(_ORDERED(values))

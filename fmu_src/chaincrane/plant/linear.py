@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -63,6 +64,12 @@ class Modes:
 
     omega: Array  # rad/s, (n,), ascending
     shapes: Array  # 1/sqrt(kg), (n, n), a column a mode
+
+    @cached_property
+    def squares(self) -> Array:
+        """omega^2, rad2/s2, (n,)."""
+        squares: Array = self.omega**2
+        return squares
 
 
 def modes(chain: DiscreteChain) -> Modes:
@@ -170,15 +177,18 @@ class TautString:
     def propagate(
         self, motion: ModalMotion, t: float | Array, v: float, command: Command
     ) -> ModalMotion:
-        """Exact motion after ``t`` s: the matrix exponential of (32), a 2x2 block for each mode.
+        """Exact motion after ``t`` s; ``v``: the trolley's velocity at its start, m/s.
 
-        ``v``: the trolley's velocity at its start, m/s. Times may be a column (k, 1): the motion is
-        then (k, n).
+        Times may be a column (k, 1): the motion is then (k, n).
+        """
+        return self.moved(motion, t, *self.forcing(v, command))
+
+    def moved(self, motion: ModalMotion, t: float | Array, p0: Array, p1: Array) -> ModalMotion:
+        """Motion after ``t`` s of a load: the matrix exponential of (32), a 2x2 block a mode.
 
         eta'' + alpha eta' + omega^2 eta = p0 + p1 t has the particular solution c0 + c1 t.
         """
-        squares = self.modes.omega**2
-        p0, p1 = self.forcing(v, command)
+        squares = self.modes.squares
         c1 = p1 / squares
         c0 = (p0 - self.air * c1) / squares
         if isinstance(t, float):
@@ -209,12 +219,15 @@ class LinearCrane(CraneModel):
         self._interpolation = interpolation(chain.elements, material_fractions())
         self._seen = np.vstack((self._interpolation, np.eye(1, chain.elements)))
         self._seen = self._seen @ self.modes.shapes  # 11 material points, node 1
+        self._hanging = np.zeros((len(self._interpolation), 2))  # m, material points at rest
+        self._hanging[:, 1] = self._interpolation @ chain.rest[:, 1]
+        self._ends = self.modes.shapes[[0, -1]]  # node 1, payload
         depth = chain.L0 * np.arange(1, chain.elements + 1)
         straight = mass_times(chain, np.outer(depth, [np.sin(self.initial.sway_angle), 0.0]))[:, 0]
         eta = self.modes.shapes.T @ straight
         self._motion = ModalMotion(eta, np.zeros_like(eta))
         p0, _ = self.string.forcing(self.trolley.v, IDLE)
-        self._rate_of_rate = p0 - self.modes.omega**2 * eta
+        self._rate_of_rate = p0 - self.modes.squares * eta
         self._trolley_fx = self._drive_force(self.trolley.v, IDLE)
         self._ledger = Ledger(start=self._energy(self._motion, self.trolley.v))
 
@@ -236,7 +249,7 @@ class LinearCrane(CraneModel):
     def _energy(self, motion: ModalMotion, trolley_v: float) -> float:
         """1/2 v^T M v + 1/2 q^T K q, J, with absolute velocities v, in modal coordinates."""
         relative = 0.5 * float(motion.rate @ motion.rate)
-        elastic = 0.5 * float(np.sum((self.modes.omega * motion.eta) ** 2))
+        elastic = 0.5 * float(((self.modes.omega * motion.eta) ** 2).sum())
         return relative + elastic + self._carried(motion, trolley_v)
 
     def _carried(self, motion: ModalMotion, trolley_v: float) -> float:
@@ -250,7 +263,8 @@ class LinearCrane(CraneModel):
         before, a_cmd = self._motion, command.trolley_a_cmd
         dv = start.v - self.trolley.v
         jumped = self.string.jump(before, dv)
-        after = self.string.propagate(jumped, h, start.v, command)
+        p0, p1 = self.string.forcing(start.v, command)
+        after = self.string.moved(jumped, h, p0, p1)
         end_v = start.v + h * a_cmd
         trolley_dx = h * (start.v + 0.5 * h * a_cmd)
         moved = self.modes.shapes[-1:] @ (after.eta - before.eta)
@@ -258,19 +272,19 @@ class LinearCrane(CraneModel):
         dissipated, drag_work = self._drag(jumped, h, start.v, command)
         # The drive gives all change of horizontal momentum P that the payload's force and the air
         # do not: with v = v0 + a t its work is the integral of (P' - fx + drag) v.
+        begun = self._momentum(jumped, start.v)
         drive_work = (
             self._momentum(after, end_v) * end_v
-            - self._momentum(jumped, start.v) * start.v
+            - begun * start.v
             - a_cmd * self._carried_path(jumped, after, trolley_dx)
             - command.payload_fx * trolley_dx
             + drag_work
         )
-        impulse = self._momentum(jumped, start.v) - self._momentum(before, self.trolley.v)
+        impulse = begun - self._momentum(before, self.trolley.v)
         jump_work = 0.5 * (start.v + self.trolley.v) * impulse
         self._motion = after
-        p0, p1 = self.string.forcing(start.v, command)
         self._rate_of_rate = (
-            p0 + h * p1 - self.crane.damping.air * after.rate - self.modes.omega**2 * after.eta
+            p0 + h * p1 - self.crane.damping.air * after.rate - self.modes.squares * after.eta
         )
         self._trolley_fx = self._drive_force(end_v, command)
         self.impulse = impulse
@@ -318,7 +332,7 @@ class LinearCrane(CraneModel):
 
     def _drive_force(self, trolley_v: float, command: Command) -> float:
         """Force of the drive on the chain, N: node 0's row of (31)."""
-        ends = self.modes.shapes[[0, -1]]
+        ends = self._ends
         q = float(ends[0] @ self._motion.eta)
         inertia = ends @ self._rate_of_rate + self.crane.damping.air * (ends @ self._motion.rate)
         carried = carried_force(self.chain, command, trolley_v, *inertia.tolist())
@@ -341,13 +355,15 @@ class LinearCrane(CraneModel):
 
     def _posture(self) -> Posture:
         """The string's displacements at the rest position's depths."""
-        rest, shapes = self.chain.rest[:, 1], self.modes.shapes
-        *points, node1 = self._seen @ self._motion.eta
+        rest = self.chain.rest[:, 1]
+        seen = self._seen @ self._motion.eta
+        points = self._hanging.copy()
+        points[:, 0] = seen[:-1]
         return Posture(
-            points=np.column_stack((points, self._interpolation @ rest)),
-            node1=np.array([node1, rest[0]]),
-            payload=np.array([points[MATERIAL_POINTS - 1], rest[-1]]),
-            payload_w=np.array([float(shapes[-1] @ self._motion.rate), 0.0]),
+            points,
+            node1=np.array((seen[-1], rest[0])),
+            payload=np.array((seen[MATERIAL_POINTS - 1], rest[-1])),
+            payload_w=np.array((self.modes.shapes[-1] @ self._motion.rate, 0.0)),
         )
 
     def _own_outputs(self) -> dict[str, float]:
