@@ -85,6 +85,7 @@ def new_figure(
         {
             "font.size": TYPE,
             "axes.titlesize": TYPE,
+            "axes.titley": 1.0,
             "axes.labelsize": TYPE,
             "xtick.labelsize": TYPE,
             "ytick.labelsize": TYPE,
