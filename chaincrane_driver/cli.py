@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -41,7 +40,7 @@ from .instances import describe
 from .loop import ORDERS
 from .masters import MASTERS, Package
 from .places import hindrance, whole_file
-from .processes import Timed, Workers, cores, do_all, simulate_all
+from .processes import Timed, do_all, simulate_all, workers_for
 from .scenario import Scenario
 from .simulate import Job
 from .ssp import write_ssp
@@ -135,23 +134,15 @@ def command_figures(options: argparse.Namespace) -> int:
     """Draw the paper's Figs. 4 to 7 from the FMUs, with the comparison in numbers."""
     scenarios = [scenario.load(options.scenarios / name) for _, name in PAPER]
     jobs = [job for one in scenarios for job in jobs_of(one, options.fmus)]
-    with Workers(cores()) as workers:
+    units = [checked_units(one, options.fmus) for one in scenarios]
+    with workers_for(len(jobs)) as workers:
         tables = iter(do_all(workers, jobs, "runs"))
-        panels = []
-        for (label, _), one in zip(PAPER, scenarios, strict=True):
-            results = {run.name: next(tables) for run in one.runs}
-            panels.append((label, one, results))
-            units = checked_units(one, options.fmus)
-            print(f"{one.title}\n\n{compare.comparison_table(one, results, units)}\n")
-        signals = {
-            "fig5_payload_absolute": "payload.x",
-            "fig6_payload_relative": "payload.x_rel",
-            "fig7_middle_relative": "chain.mid_x_rel",
-        }
-        stem, out = "fig4_shapes", options.out
-        drawings = [plots.Drawing(plots.shape_figure, panels, plots.SHAPE_TIMES, out / stem)]
-        for stem, signal in signals.items():
-            drawings.append(plots.Drawing(plots.motion_figure, panels, signal, out / stem))
+        results = [{run.name: next(tables) for run in one.runs} for one in scenarios]
+        for one, found, of in zip(scenarios, results, units, strict=True):
+            print(f"{one.title}\n\n{compare.comparison_table(one, found, of)}\n")
+        labels = (label for label, _ in PAPER)
+        panels = list(zip(labels, scenarios, results, strict=True))
+        drawings = plots.papers_figures(panels, options.out)
         written = [path for paths in do_all(workers, drawings, "figures") for path in paths]
     print("written: " + ", ".join(str(path) for path in written))
     return 0
@@ -442,8 +433,6 @@ def versions() -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of the command; errors that a user can mend are one line."""
-    if arguments is None:  # a program of its own: being ended is as Ctrl-C, and leaves nothing
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
     given = sys.argv[1:] if arguments is None else arguments
     if given[:1] == ["build"]:  # it alone needs the models, and what makes FMUs of them
         from chaincrane_builder import command

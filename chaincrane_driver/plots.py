@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 
 from .compare import shown
-from .converge import Estimate, Finding, Signal
-from .instances import Instances
 from .places import house_matplotlib, whole_file
 from .progress import Progress
 from .scenario import Run, Scenario
@@ -22,6 +21,9 @@ from .tables import Table
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from .converge import Estimate, Finding, Signal
+    from .instances import Instances
 
 # Colours that stay apart for colour-blind eyes (after Okabe & Ito), each dashed in its own way, so
 # that they do in grey too; the truth is black.
@@ -47,18 +49,24 @@ PNG_EFFORT = 3  # of 9: 6 takes half as long again, for a tenth less
 # Name, colour of lines, colour of bands.
 ERROR_STYLES = (("time error", "#D55E00", "#E69A66"), ("mesh error", "#0072B2", "#BFDCEC"))
 BELOW, ABOVE = 100.0, 4.0  # an axis of errors reaches so far below the least and above the largest
-SHAPE_POINTS = 10
 SHAPE_TIMES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.08, 1.16, 1.24, 1.44, 2.0, 2.1, 2.2, 2.3)
+SHAPE_X, SHAPE_Y = ([f"chain.{axis}[{i}]" for i in range(1, 11)] for axis in "xy")
+MOTIONS = {  # file -> signal
+    "fig5_payload_absolute": "payload.x",
+    "fig6_payload_relative": "payload.x_rel",
+    "fig7_middle_relative": "chain.mid_x_rel",
+}
 
 Results = dict[str, Table]
+Panels = Sequence[tuple[str, Scenario, Results]]  # with their labels
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure as a worker's work: to draw the paper's takes ten times as long as to run them."""
+    """A figure as a worker's work: to draw the paper's takes longer than to run them."""
 
     draw: Callable[..., list[Path]]  # a function of this module, its last argument the stem
-    panels: list[tuple[str, Scenario, Results]]
+    panels: Panels
     what: Any  # its second argument
     stem: Path
 
@@ -70,6 +78,31 @@ class Drawing:
     def run(self, _instances: Instances, _progress: Progress | None = None) -> list[Path]:
         """Draw it; the files' paths."""
         return self.draw(self.panels, self.what, self.stem)
+
+
+def papers_figures(panels: Panels, out: Path) -> list[Drawing]:
+    """The paper's Figs. 4 to 7, the one that takes longest first."""
+    shapes = _only(panels, ("trolley.x", *SHAPE_X, *SHAPE_Y))
+    return [
+        Drawing(shape_figure, shapes, SHAPE_TIMES, out / "fig4_shapes"),
+        *(
+            Drawing(motion_figure, _only(panels, (signal,)), signal, out / stem)
+            for stem, signal in MOTIONS.items()
+        ),
+    ]
+
+
+def _only(panels: Panels, signals: Sequence[str]) -> Panels:
+    """Panels without what a figure does not show, to travel light."""
+
+    def lean(table: Table) -> Table:
+        packed: Table = repack_fields(table[["time", *signals]])
+        return packed
+
+    return [
+        (label, one, {run: lean(table) for run, table in results.items()})
+        for label, one, results in panels
+    ]
 
 
 def new_figure(
@@ -92,6 +125,7 @@ def new_figure(
             "legend.fontsize": TYPE,
             "figure.titlesize": TYPE,
             "pdf.fonttype": 42,  # letters stay letters
+            "ps.fonttype": 42,  # Matplotlib 3.11 asks this of PDFs, and else embeds a minus apart
             "lines.solid_capstyle": "butt",
             "axes.grid": True,
             "grid.alpha": 0.25,
@@ -186,9 +220,7 @@ def _legend(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
 
 
-def motion_figure(
-    panels: list[tuple[str, Scenario, Results]], signal: str, stem: Path
-) -> list[Path]:
+def motion_figure(panels: Panels, signal: str, stem: Path) -> list[Path]:
     """One signal, a column for each payload (Figs. 5 to 7): linear cranes on the nonlinear.
 
     Below it the differences to the nonlinear one, as the curves themselves nearly coincide.
@@ -218,9 +250,7 @@ def shape_colours(count: int) -> list[Any]:
     return [colours(0.6 * place / max(1, count - 1)) for place in range(count)]
 
 
-def shape_figure(
-    panels: list[tuple[str, Scenario, Results]], times: tuple[float, ...], stem: Path
-) -> list[Path]:
+def shape_figure(panels: Panels, times: tuple[float, ...], stem: Path) -> list[Path]:
     """Position and shape of the chain at some times (Fig. 4), nonlinear and linear side by side."""
     figure, axes = new_figure(len(panels), 2, WIDTH, 1.75 * len(panels), sharex=True, sharey=True)
     colours = shape_colours(len(times))
@@ -228,9 +258,9 @@ def shape_figure(
         for column, run in enumerate(scenario.runs[:2]):
             panel, table = axes[row, column], results[run.name]
             at = table[[int(np.argmin(np.abs(table["time"] - time))) for time in times]]
-            x = [at["trolley.x"], *(at[f"chain.x[{i}]"] for i in range(1, SHAPE_POINTS + 1))]
-            y = [0.0 * x[0], *(at[f"chain.y[{i}]"] for i in range(1, SHAPE_POINTS + 1))]
-            chains = panel.plot(np.array(x), np.array(y), linewidth=0.9)
+            x = np.array([at[name] for name in ("trolley.x", *SHAPE_X)])
+            y = np.array([np.zeros(len(at)), *(at[name] for name in SHAPE_Y)])
+            chains = panel.plot(x, y, linewidth=0.9)
             for chain, time, colour in zip(chains, times, colours, strict=True):
                 chain.set(color=colour, label=f"{time:.2f}")
             for place, marker, size in ((-1, "o", 2.5), (0, "s", 2.0)):  # payload, trolley

@@ -14,18 +14,20 @@ import sys
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from time import monotonic
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from tqdm import tqdm
 
 from .errors import UserError
-from .tables import Table
 from .worker import AT, DONE, READY, Work
+
+if TYPE_CHECKING:
+    from .tables import Table
 
 SLOW = 1.0  # s, work that takes longer than this gets a progress bar
 MINUTE = 60.0  # s, from line to line where there is no terminal
@@ -68,10 +70,10 @@ def cores() -> int:
 class Worker:
     """A worker's process, and what it has been sent and has not answered yet, in order."""
 
-    def __init__(self, folder: Path, heard: SimpleQueue[Any], reports: bool) -> None:
+    def __init__(self, folder: Path, heard: SimpleQueue[Any]) -> None:
         path = [str(Path(one or ".").absolute()) for one in sys.path]
         code = f"import sys; sys.path[:] = {path!r}\nfrom chaincrane_driver.worker import main\n"
-        code += f"main({str(folder)!r}, {reports})"
+        code += f"main({str(folder)!r})"
         self._words = folder.with_suffix(".txt")
         with self._words.open("wb") as words:
             self.process = subprocess.Popen(
@@ -98,7 +100,7 @@ class Worker:
         except (EOFError, pickle.UnpicklingError, OSError, ValueError):
             heard.put((self, None))
 
-    def send(self, work: Sequence[Numbered]) -> None:
+    def send(self, work: Sequence[Numbered], reports: bool) -> None:
         """Send a batch. If the worker is dead, its queue's None will tell."""
         if not self.sent:
             self.sent_at = monotonic()
@@ -106,7 +108,7 @@ class Worker:
         stream = self.process.stdin
         assert stream is not None
         with suppress(OSError):
-            pickle.dump(list(work), stream, protocol=pickle.HIGHEST_PROTOCOL)
+            pickle.dump((reports, list(work)), stream, protocol=pickle.HIGHEST_PROTOCOL)
             stream.flush()
 
     def last_words(self) -> str:
@@ -126,13 +128,10 @@ class Worker:
 
 
 class Workers:
-    """Up to ``count`` workers, started when there is work for them; a context, which ends them.
+    """Up to ``count`` workers, started when there is work for them; a context, which ends them."""
 
-    ``reports``: progress within a run is asked for, and told to ``on_time`` by number and time, s.
-    """
-
-    def __init__(self, count: int, on_time: Callable[[int, float], None] | None = None) -> None:
-        self._count, self._on_time = count, on_time
+    def __init__(self, count: int) -> None:
+        self._count = count
         self._heard: SimpleQueue[Any] = SimpleQueue()
         self._workers: list[Worker] = []
         self._started = self._stillborn = 0
@@ -141,17 +140,26 @@ class Workers:
         self._folder = tempfile.TemporaryDirectory(prefix="chaincrane-", ignore_cleanup_errors=True)
         return self
 
+    def start(self, count: int) -> None:
+        """Start so many workers, before there is work for them."""
+        while len(self._workers) < min(count, self._count):
+            self._start()
+
     def __exit__(self, *_: object) -> None:
         for worker in self._workers:
             worker.end()
         self._workers.clear()
         self._folder.cleanup()
 
-    def run(self, work: Iterable[Numbered]) -> Iterator[tuple[int, Any]]:
+    def run(
+        self, work: Iterable[Numbered], on_time: Callable[[int, float], None] | None = None
+    ) -> Iterator[tuple[int, Any]]:
         """Do all work; what each piece gave, or a Failure, by its number, as it is done.
 
-        ``work`` is taken as it is needed, so there may be any amount of it.
+        ``work`` is taken as it is needed, so there may be any amount of it. ``on_time`` is told the
+        time that a run has reached, s, by number.
         """
+        self._reports = on_time is not None
         waiting, again = iter(work), deque[Numbered]()
         for worker in self._workers:
             worker.batch = 1  # what was quick before says nothing of this
@@ -171,8 +179,8 @@ class Workers:
                 if kind == READY:
                     worker.ready, self._stillborn = True, 0
                 elif kind == AT:
-                    if self._on_time is not None:
-                        self._on_time(number, content)
+                    if on_time is not None:
+                        on_time(number, content)
                 else:
                     worker.sent.popleft()
                     if not worker.sent:
@@ -197,7 +205,7 @@ class Workers:
             if worker is None:
                 worker = self._start()
             worker.alone = _alone(batch[0])
-            worker.send(batch)
+            worker.send(batch, self._reports)
 
     def _next(
         self, worker: Worker | None, waiting: Iterator[Numbered], again: deque[Numbered]
@@ -219,7 +227,7 @@ class Workers:
     def _start(self) -> Worker:
         self._started += 1
         folder = Path(self._folder.name, str(self._started))
-        worker = Worker(folder, self._heard, self._on_time is not None)
+        worker = Worker(folder, self._heard)
         self._workers.append(worker)
         return worker
 
@@ -252,6 +260,31 @@ class Workers:
         else:
             tried.add(number)
             again.appendleft((number, work))
+
+
+# Workers that were started before it was known what for.
+_early: list[Workers] = []
+
+
+@contextmanager
+def early_workers(count: int) -> Iterator[None]:
+    """Start up to ``count`` workers now, for those who ask :func:`workers_for` some.
+
+    They load what they need while this process does. Where they cannot be started, that is said
+    when there is work for them.
+    """
+    with ExitStack() as stack:
+        with suppress(OSError):
+            workers = stack.enter_context(Workers(cores()))
+            workers.start(count)
+            _early.append(workers)
+            stack.callback(_early.remove, workers)
+        yield
+
+
+def workers_for(pieces: int) -> AbstractContextManager[Workers]:
+    """Workers for some pieces of work: those that were started early, or one a core, or fewer."""
+    return nullcontext(_early[-1]) if _early else Workers(min(cores(), pieces))
 
 
 def _alone(one: Numbered) -> bool:
@@ -295,8 +328,8 @@ def simulate_each(jobs: Sequence[Timed], label: str, give_up: bool = False) -> l
             reached[number] = time
             bar.update(sum(reached.values()) - bar.n)
 
-        with Workers(min(cores(), len(jobs)), on_time) as workers:
-            for number, result in workers.run(enumerate(jobs)):
+        with workers_for(len(jobs)) as workers:
+            for number, result in workers.run(enumerate(jobs), on_time):
                 if give_up and isinstance(result, Failure):
                     raise UserError(result)
                 results[number] = result

@@ -1,7 +1,7 @@
 """A worker: a process that runs what it is sent, with FMUs that it keeps loaded.
 
-It reads lists of (number, work) as pickles from its standard input, and writes a message for each
-event to its standard output:
+It reads pickles from its standard input: whether runs are to tell their time, and a list of
+(number, work). It writes a message for each event to its standard output:
 
     READY                       once, when it can be sent work
     (AT, number, time)          the simulated time that a run has reached, s
@@ -19,11 +19,13 @@ import sys
 import tempfile
 from collections.abc import Callable
 from time import monotonic
-from typing import Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
 from .errors import UserError, one_line
-from .instances import Instances
 from .progress import Progress
+
+if TYPE_CHECKING:
+    from .instances import Instances
 
 READY, AT, DONE, FAILED = "ready", "at", "done", "failed"
 PAUSE = 0.1  # s, between two messages of the time that a run has reached
@@ -52,13 +54,15 @@ def attempt(
         return FAILED, number, f"{work.name}: {one_line(error)}"
 
 
-def serve(take: BinaryIO, tell: Callable[[Any], None], reports: bool) -> None:
-    """Run what comes from ``take`` until it ends; ``reports``: tell of each run's time too."""
+def serve(take: BinaryIO, tell: Callable[[Any], None]) -> None:
+    """Run what comes from ``take`` until it ends."""
+    from .instances import Instances  # not above: who starts workers does so before it loads FMPy
+
     instances = Instances()
     tell((READY, -1, None))
     while True:
         try:
-            batch = pickle.load(take)
+            reports, batch = pickle.load(take)
         except EOFError:
             return
         for number, work in batch:
@@ -79,7 +83,7 @@ def _reporter(tell: Callable[[Any], None], number: int) -> Progress:
     return report
 
 
-def main(folder: str, reports: bool) -> None:
+def main(folder: str) -> None:
     """Serve on standard input and output; FMUs are extracted below ``folder``, a worker's own."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who has started this one
     out = os.fdopen(os.dup(1), "wb")
@@ -92,7 +96,7 @@ def main(folder: str, reports: bool) -> None:
         out.flush()
 
     try:
-        serve(sys.stdin.buffer, tell, reports)
+        serve(sys.stdin.buffer, tell)
     except BrokenPipeError:
         pass  # nobody listens any more
     finally:
