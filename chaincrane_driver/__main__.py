@@ -26,7 +26,7 @@ def main() -> int:
 
 
 def _command() -> int:
-    from .cli import main as command  # this takes a third of a second
+    from .cli import main as command
 
     return command()
 

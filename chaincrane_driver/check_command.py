@@ -1,4 +1,4 @@
-"""chaincrane check, and chaincrane export: runs against references, in our form and another."""
+"""chaincrane check: runs against references, in our form and another."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TypeVar
 from . import checking, compare, crosscheck, scenario, shipped
 from .errors import UserError, instead
 from .instances import describe
+from .options import add_scenario, add_scenarios
 from .processes import Failure, simulate_all, simulate_each
 from .scenario import Run, Scenario
 from .simulate import Job
@@ -23,7 +24,7 @@ Given = TypeVar("Given")
 FMI_PLATFORM = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
 
 
-def command_check(options: argparse.Namespace) -> int:
+def command(options: argparse.Namespace) -> int:
     """Compare every run with its frozen reference; 1 where one differs or cannot be compared.
 
     A line for each run names its worst signal. --junit and --json write what CI servers read;
@@ -154,70 +155,29 @@ def _crosschecked(options: argparse.Namespace) -> list[checking.Verdict]:
     return verdicts
 
 
-def command_export(options: argparse.Namespace) -> int:
-    """Write runs in the form of the FMI cross-check rules: FMU, inputs, reference, options.
-
-    That form has no start values, so only runs that start with the FMU's own are written.
-    """
-    scenarios = [scenario.load(folder) for folder in options.scenario]
-    runs = [(one, run) for one in scenarios for run in one.named(options.run)]
-    written = []
-    for one, run in runs:
-        fmu = shipped.fmu(options.fmus, run.fmu)
-        if not options.run and crosscheck.default_starts(one, run, fmu):
-            print(f"left out: {one.name}, {run.name}: it has start values of its own")
-        else:
-            written += crosscheck.export(one, run, fmu, options.out)
-    for folder in written:
-        print(f"written: {folder}")
-    return 0 if written else 1
-
-
-def add_scenario(parser: argparse.ArgumentParser, count: str | None = None) -> None:
-    """The argument that says which scenario; ``count``: as argparse's nargs."""
-    text = "a scenario's folder, or the name of one of ours"
-    text += " (all of --scenarios)" if count == "*" else ""
-    parser.add_argument("scenario", type=Path, nargs=count, help=text)
-
-
-def add_run(parser: argparse.ArgumentParser) -> None:
-    """The option that chooses among a scenario's runs."""
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    add_scenarios(parser)
+    add_scenario(parser, "*")
     parser.add_argument(
-        "--run", action="append", default=[], metavar="NAME", help="a run of the scenario (all)"
-    )
-
-
-def add_check_options(check: argparse.ArgumentParser) -> None:
-    """The options of chaincrane check."""
-    add_scenario(check, "*")
-    check.add_argument(
         "--fmu", type=Path, metavar="FILE", help="check this FMU, which has the same interface"
     )
-    check.add_argument(
+    parser.add_argument(
         "--model",
         metavar="NAME",
         help="check runs of this model only: crane_nl; what --fmu stands for",
     )
-    check.add_argument(
+    parser.add_argument(
         "--results", type=Path, metavar="DIR", help="check DIR/SCENARIO/RUN.csv, and run nothing"
     )
-    check.add_argument(
+    parser.add_argument(
         "--crosscheck", type=Path, metavar="DIR", help="check folders that export has written"
     )
-    check.add_argument("--junit", type=Path, metavar="FILE", help="write JUnit's XML, for CI")
-    check.add_argument("--json", type=Path, metavar="FILE", help="write every signal, as JSON")
-    check.add_argument(
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="write JUnit's XML, for CI")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every signal, as JSON")
+    parser.add_argument(
         "--accept-stale",
         action="store_true",
         help="check FMUs too that are not what the sources beside this program would make",
     )
-    check.add_argument("--update", action="store_true", help="rewrite the references, on purpose")
-
-
-def add_export_options(exporting: argparse.ArgumentParser) -> None:
-    """The options of chaincrane export."""
-    add_scenario(exporting, "+")
-    add_run(exporting)
-    exporting.add_argument(
-        "--out", type=Path, default=Path("crosscheck"), metavar="DIR", help="folder (crosscheck)"
-    )
+    parser.add_argument("--update", action="store_true", help="rewrite the references, on purpose")

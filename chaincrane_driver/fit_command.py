@@ -6,12 +6,12 @@ import argparse
 from pathlib import Path
 
 from . import fit, scenario, shipped
-from .check_command import add_scenario
 from .instances import describe
+from .options import add_scenario
 from .stale import say_if_stale
 
 
-def command_fit(options: argparse.Namespace) -> int:
+def command(options: argparse.Namespace) -> int:
     """Fit parameters of the crane to measured signals: values, standard errors, a picture.
 
     The scenario says what moved and for how long; the CSV file has a column for each measured

@@ -9,11 +9,11 @@ import numpy as np
 
 from . import dataset, scenario, shipped, vary
 from .antisway import Setup, parse_setting
-from .check_command import add_run
 from .cluster import dask
 from .compare import markdown_table, shown
 from .dataset import Results
 from .errors import UserError, instead
+from .options import add_run
 from .stale import say_if_stale
 from .subjects import Metric, Subject, loop_subject, scenario_subject
 from .sweep import Scheduler, local, sweep
@@ -23,7 +23,7 @@ from .vary import Design
 LOOP = "antisway"  # stands for the closed loop where a scenario's folder would
 
 
-def command_sweep(options: argparse.Namespace) -> int:
+def command(options: argparse.Namespace) -> int:
     """Run a scenario, or the closed loop, for many values of what varies: dataset, CSV, picture.
 
     WHAT is FIRST:LAST:COUNT, with :log behind it if spaced by logarithms; values A,B,C; or

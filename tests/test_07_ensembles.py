@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from chaincrane_driver.antisway import Setup
 from chaincrane_driver.errors import UserError
 from chaincrane_driver.grid import all_inputs
 from chaincrane_driver.instances import Instances
-from chaincrane_driver.processes import Failure, Workers
+from chaincrane_driver.processes import Failure, Workers, early_workers, workers_for
 from chaincrane_driver.progress import Progress
 from chaincrane_driver.simulate import Job
 
@@ -234,6 +235,32 @@ def test_work_that_fails_is_a_failure_and_the_rest_goes_on() -> None:
     found = outcomes(1, [Square(2), Square(-3), Square(4)])
     assert found == {0: 4, 1: "-3 is below 0", 2: 16}
     assert isinstance(found[1], Failure)
+
+
+def test_workers_that_are_started_early_serve_all() -> None:
+    """Who asks for workers gets those that are there, and who started them ends them."""
+    with early_workers(1):
+        with workers_for(3) as first:
+            (early,) = first._workers
+            assert dict(first.run(enumerate([Square(2), Square(3)]))) == {0: 4, 1: 9}
+        with workers_for(1) as second:
+            assert second is first and early in first._workers
+            early.process.kill()  # it costs no run
+            assert dict(second.run(enumerate([Square(4)]))) == {0: 16}
+    assert early.process.poll() is not None and not first._workers
+    with workers_for(1) as other:
+        assert other is not first
+
+
+@HOST_ONLY
+def test_workers_that_cannot_be_started_early_are_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with early_workers(1):
+        monkeypatch.undo()
+        with workers_for(1) as workers:
+            assert dict(workers.run(enumerate([Square(2)]))) == {0: 4}
 
 
 def test_what_is_to_be_run_next_is_shared_too() -> None:

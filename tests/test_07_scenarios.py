@@ -1,8 +1,10 @@
 """Rung 7, the driver and the scenarios. References: our own frozen output, and broken copies."""
 
 import contextlib
+import inspect
 import io
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -591,6 +593,26 @@ def test_reference_rows_leave_the_cost_out() -> None:
     kept = reference_rows(one, rows)
     assert kept.dtype.names == ("time", "payload.x")
     np.testing.assert_allclose(kept["time"], [0.0, 0.02, 0.04])
+
+
+@pytest.mark.parametrize("name", [name for name in cli.COMMANDS if name != "build"])
+def test_the_list_of_commands_says_what_each_says_of_itself(name: str) -> None:
+    told = inspect.getdoc(cli.command_module(name).command) or ""
+    assert told.splitlines()[0] == cli.COMMANDS[name][0]
+
+
+def test_what_is_not_understood_leaves_nothing(tmp_path: Path) -> None:
+    """Workers are started before the options are read."""
+    done = subprocess.run(
+        [sys.executable, "-m", "chaincrane_driver", "check", "--fnu", "a.fmu"],
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("chaincrane: unrecognized arguments: --fnu")
+    assert not list(tmp_path.iterdir())
 
 
 def test_all_scenarios_are_there() -> None:

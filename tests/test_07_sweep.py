@@ -416,7 +416,7 @@ def run(options):
 import argparse
 command_line = argparse.Namespace(action=run)
 import chaincrane_driver.cli as cli
-cli.parser = lambda: argparse.Namespace(parse_args=lambda arguments: command_line)
+cli.parser = lambda asked: argparse.Namespace(parse_args=lambda arguments: command_line)
 sys.exit(cli.main([]))
 """
 

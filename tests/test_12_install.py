@@ -226,19 +226,29 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is no signal there")
 @pytest.mark.parametrize(
-    ("job", "sign"),
-    [("run", signal.SIGINT), ("build", signal.SIGINT), ("run", signal.SIGTERM)],
+    ("job", "sign", "later"),
+    [
+        ("run", signal.SIGINT, 0.5),
+        ("build", signal.SIGINT, 0.5),
+        ("run", signal.SIGTERM, 0.5),
+        ("check", signal.SIGINT, 0.0),
+        ("check", signal.SIGTERM, 0.0),
+    ],
 )
 def test_ctrl_c_is_one_line_and_leaves_nothing(
-    fmus: Path, tmp_path: Path, job: str, sign: signal.Signals
+    fmus: Path, tmp_path: Path, job: str, sign: signal.Signals, later: float
 ) -> None:
-    """A minute-long run, and a build with a cold cache, stopped in the middle."""
+    """A minute-long run, and a build with a cold cache, stopped in the middle.
+
+    And a check, as soon as its workers are started: it is then still being loaded.
+    """
     temporary, out = tmp_path / "tmp", tmp_path / "out"
     temporary.mkdir()
     out.mkdir()
     commands = {
         "build": ["build", "crane_nl"],
         "run": ["antisway", "--stop", "600", "--fmus", str(fmus)],
+        "check": ["check", "--fmus", str(fmus), "--scenarios", str(ROOT / "scenarios")],
     }
     worker = subprocess.Popen(
         [sys.executable, "-m", "chaincrane_driver", *commands[job]],
@@ -253,8 +263,8 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(
         depth = len(list(temporary.glob("*/*")))
         if depth:
             break
-        time.sleep(0.1)
-    time.sleep(0.5)
+        time.sleep(0.1 if later else 0.01)
+    time.sleep(later)
     if sign == signal.SIGINT:
         os.killpg(worker.pid, sign)
     else:
