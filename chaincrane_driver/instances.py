@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 from weakref import finalize
 
-from fmpy import extract, read_model_description
+from fmpy import extract, platform, read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import (
     FMU2Slave,
@@ -86,6 +86,14 @@ class Log:
 def process_log() -> Log:
     """The log of this process: one for all, as FMPy's proxy knows the last logger alone."""
     return Log()
+
+
+def _is_run(member: str) -> bool:
+    """Is a file of an FMU for those who run it here? Small files take time to unpack and remove."""
+    room, _, rest = member.partition("/")
+    if room == "binaries":
+        return rest.startswith(f"{platform}/")
+    return room not in ("documentation", "sources")
 
 
 @dataclass
@@ -178,7 +186,7 @@ class Instances:
             raise UserError(f"{fmu}: is not an FMI 2.0 co-simulation FMU")
         self.log.said.clear()
         try:
-            folder = extract(str(fmu))
+            folder = extract(str(fmu), include=_is_run)
         except OSError as error:
             where = f"cannot be unpacked into {tempfile.gettempdir()}"
             raise UserError(f"{fmu}: {where}: {error.strerror or error}") from error

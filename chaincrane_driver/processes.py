@@ -86,6 +86,7 @@ class Worker:
         self.sent: deque[Numbered] = deque()
         self.ready = False
         self.alone = False  # it is at work that is to have it for itself
+        self.leaving = False
         self.batch = 1
         self.sent_at = 0.0
         Thread(target=self._listen, args=(heard,), daemon=True).start()
@@ -117,8 +118,19 @@ class Worker:
         words = [" ".join(line.split()) for line in lines if line.strip()]
         return ": ".join([f"exit code {self.process.returncode}", *words[-1:]])
 
+    def leave(self) -> None:
+        """Let the process go, if it has nothing to do: it removes what it has unpacked."""
+        if self.ready and not self.sent:
+            assert self.process.stdin is not None
+            with suppress(OSError):
+                self.process.stdin.close()
+            self.leaving = True
+
     def end(self) -> None:
         """Stop the process, whatever it is at."""
+        if self.leaving:
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(LISTEN)
         self.process.kill()
         self.process.wait()
         for stream in (self.process.stdin, self.process.stdout):
@@ -146,6 +158,8 @@ class Workers:
             self._start()
 
     def __exit__(self, *_: object) -> None:
+        for worker in self._workers:
+            worker.leave()  # side by side
         for worker in self._workers:
             worker.end()
         self._workers.clear()
