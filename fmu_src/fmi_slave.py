@@ -91,11 +91,12 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             for causality in ("input", "parameter", "output")
         )
         self._first_output = outputs[0]
-        self._told = [(place, self.variables[place].symbol) for place in self._inputs]
+        self._symbols = [self.variables[place].symbol for place in self._inputs]
         self._of_kind = {
             kind: frozenset(place for place, variable in places if variable.kind == kind)
             for kind in ("Real", "Integer", "String", "Boolean")
         }
+        self._real_inputs = self._of_kind["Real"].intersection(self._inputs)
         self._no_outputs = [
             nan if variable.kind == "Real" else 0
             for variable in self.variables[self._first_output :]
@@ -189,8 +190,8 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         if end > self._stop and clock.is_beyond(end, self._stop, step_size):
             raise BadValue("end of the step", end, f"at most the stop time, {self._stop!r} s")
         if self._command is None:
-            values = self._values
-            self._command = self.inputs(**{symbol: values[place] for place, symbol in self._told})
+            told = self._values[: len(self._inputs)]
+            self._command = self.inputs(**dict(zip(self._symbols, told, strict=True)))
         meant = step_size  # without the round-off of the host's times
         if self._step_unit is not None:
             unit: Any = self._values[self._step_unit]
@@ -274,6 +275,11 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         return [values[vr] for vr in vrs]
 
     def _set(self, kind: str, vrs: list[int], values: list[Any]) -> None:
+        if kind == "Real" and self._real_inputs.issuperset(vrs):  # at every step
+            for vr, value in zip(vrs, values, strict=False):
+                self._values[vr] = value
+            self._command = None
+            return
         for vr, value in zip(vrs, values, strict=False):
             if vr not in self._of_kind[kind]:
                 self._refuse(f"no {kind} variable has the value reference {vr}")

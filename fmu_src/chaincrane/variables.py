@@ -61,17 +61,17 @@ class Variable:
 
     def check(self, value: object) -> None:
         """Raise BadValue unless ``value`` is allowed."""
-        if self.kind == "String":
-            good = value in self.choices
-        else:
-            kinds = (int,) if self.kind == "Integer" else (int, float)
-            good = isinstance(value, kinds) and not isinstance(value, bool) and self._holds(value)
-        if not good:
+        if not self._allows(value):
             raise BadValue(self.name, value, self.allowed)
 
-    def _holds(self, value: float) -> bool:
+    def _allows(self, value: object) -> bool:
+        if self.kind == "String":
+            return value in self.choices
+        kinds = int if self.kind == "Integer" else (float, int)
         return (
-            isfinite(value)
+            isinstance(value, kinds)
+            and not isinstance(value, bool)
+            and isfinite(value)
             and (self.minimum is None or value >= self.minimum)
             and (self.maximum is None or value <= self.maximum)
         )

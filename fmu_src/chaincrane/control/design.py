@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ INPUTS_AT = ("start", "end")
 MAX_DESIGN_ELEMENTS = 50
 MAX_MODES = 10
 SHOWN_MODES = 4
+_LENGTHS = 256  # of steps, whose keys are kept
 
 
 class ControlPart(WholeSteps):
@@ -79,6 +81,7 @@ def drive_lag() -> Any:
     )
 
 
+@lru_cache(_LENGTHS)
 def step_key(h: float) -> float:
     """``h`` s without the round-off of a host's clock: what designs are kept by."""
     return float(f"{h:.9g}")

@@ -12,7 +12,7 @@ is linear: each output, the sample and its deviations are rows of one matrix.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import atan, atan2, pi, sqrt
 from typing import Any, NamedTuple
@@ -425,20 +425,23 @@ class CraneObserver(ControlPart):
     def _corrected(self, state: Estimate) -> Estimate:
         """Correct by the samples that have arrived, and predict from there to the time reached."""
         while state.coming and self.sensor.heard(state.coming[0].time, state.time):
-            sample, *coming = state.coming
-            state = state._replace(coming=tuple(coming))
+            sample, coming = state.coming[0], state.coming[1:]
             if self.settings.sensor == "rope" and not abs(sample.value) < 0.5 * pi:
-                continue  # beyond the horizontal a slope says nothing
-            state = self._judged(state, sample)
+                state = state._replace(coming=coming)  # beyond the horizontal: no slope
+            else:
+                state = self._judged(state, sample, coming)
         return state
 
-    def _judged(self, state: Estimate, sample: Sample) -> Estimate:
-        """The base moved to the sample's instant, and corrected unless the gate leaves it out."""
+    def _judged(self, state: Estimate, sample: Sample, coming: tuple[Sample, ...]) -> Estimate:
+        """The base moved to the sample's instant, and corrected unless the gate leaves it out.
+
+        ``coming``: the samples after it.
+        """
         passed = sample.step - state.base_step
         segments, since = state.since[:passed], state.since[passed:]
         interval = self.clock.sample_time
         if state.interval is not None or state.left_out:
-            interval = sample.time - state.base_time
+            interval = _lasted(segments, state.base_time, sample.time)
         found = self.filter_for(interval)
         base = self._moved_on(state.base, segments) if since else state.now
         pull = self._pull_after(segments[-1]) if segments else state.base_pull
@@ -452,6 +455,7 @@ class CraneObserver(ControlPart):
             base_time=sample.time,
             base_pull=pull,
             since=since,
+            coming=coming,
             innovation=shown,
         )
         gate = self.settings.gate * found.surprise
@@ -476,7 +480,10 @@ class CraneObserver(ControlPart):
         m, m/s, m, rad (small angles), then N, m and rad of wind and bias: 0 for what is not sought.
         """
         state = self._state
-        since = round(state.time - state.believed, 9)
+        since = state.time - state.believed
+        if not state.doubted:  # the sample believed is the base's
+            since = _lasted(state.since, state.believed, state.time)
+        since = round(since, 9)
         if state.interval is None:
             found = self.filter_for(self.clock.sample_time)
             return self._roots(found.prior)
@@ -549,3 +556,8 @@ class CraneObserver(ControlPart):
                 "coming": tuple(Sample(*one) for one in data["coming"]),
             }
         )
+
+
+def _lasted(segments: Sequence[Segment], start: float, end: float) -> float:
+    """Time of segments, s; of one its own length, free of the round-off of times added up."""
+    return segments[0].h if len(segments) == 1 else end - start
