@@ -350,6 +350,7 @@ class _Program:
             b_eq=np.concatenate(equal_to),
             bounds=bounds,
             method="highs",
+            options={"presolve": smooth},  # it takes longer than it saves where any point will do
         )
         return found.x[:M] if found.status == 0 else None
 

@@ -8,6 +8,7 @@ the filter has, so that what the filter does not know (spillover) shows.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import log
 
 import numpy as np
@@ -15,12 +16,13 @@ import numpy as np
 from ..plant.chain import Array, discretise
 from ..plant.parameters import Crane
 from . import kalman
-from .antisway import AntiSway
+from .antisway import AntiSway, AntiSwaySettings
 from .modes import MESH, StringModes
 from .observer import SENSORS, CraneObserver, ObserverSettings
 
 PLANT_MODES = 10
 GROWS = 1e-3  # of omega_1; slower growth, in 160 periods by e, is not worth a warning
+_KEPT = 64  # warnings, of all controllers of a process
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,13 @@ class Growth:
 
 def warning(control: AntiSway, h: float) -> str | None:
     """What a user should be told of a loop that is unstable with either sensor; None: nothing."""
+    return _warning(control.settings, h)
+
+
+@lru_cache(_KEPT)
+def _warning(settings: AntiSwaySettings, h: float) -> str | None:
+    """The same of a controller of these settings, kept: an FMU is reset to them again and again."""
+    control = AntiSway(settings)
     first = float(control.string.modes.omega[0])
     found = {sensor: expected_growth(control, sensor, h) for sensor in SENSORS}
     for sensor, growth in found.items():
