@@ -19,15 +19,12 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from tqdm import tqdm
 
 from .errors import UserError
 from .worker import AT, DONE, READY, Work
-
-if TYPE_CHECKING:
-    from .tables import Table
 
 SLOW = 1.0  # s, work that takes longer than this gets a progress bar
 MINUTE = 60.0  # s, from line to line where there is no terminal
