@@ -7,6 +7,10 @@ model says cannot be.
 
 The state z is the filter's (:mod:`kalman`), an offset last where one is sought. What is seen of it
 is linear: each output, the sample and its deviations are rows of one matrix.
+
+A rope-angle sensor has two filters, which hear the same samples. The estimate is of one that is
+sure of the frequencies: there is no better one if they are right. What is fed back is of a cautious
+one, noisier in the waves, so that no wave grows if they are wrong.
 """
 
 from __future__ import annotations
@@ -55,6 +59,7 @@ from .sensor import Camera, Clock, Rope, Sensor
 SENSORS = ("camera", "rope")
 OFFSETS = ("wind", "bias", "none")
 INTENSITY = {"camera": 0.02, "rope": 0.008}  # q^2 h/(r^2 omega_1^3), what the default q is made for
+CAUTIOUS = 0.02  # the same, of the cautious filter
 PATIENCE = 5  # samples in a row that are left out; the next one is believed
 DEVIATIONS = (
     "payload.x_rel",
@@ -103,8 +108,9 @@ class AssumedNoise:
         "m/s2",
         0.0,
         "assumed standard deviation q of the outer force on the payload, by its mass; 0: what the"
-        " crane's size and the sensor's noise r suggest, q^2 h/(r^2 omega_1^3) = 0.02 (camera, r in"
-        " m) or 0.008 (rope, r times the length), h the sample time",
+        " crane's size and the sensor's noise r (rope: times the length) suggest, q^2 h/(r^2"
+        " omega_1^3) = 0.02, or 0.008 for what the rope sensor has not to feed back; h the sample"
+        " time",
         minimum=0.0,
         nominal=0.1,
     )
@@ -119,10 +125,11 @@ class AssumedNoise:
     waves: float = parameter(
         "observer.noise.waves",
         None,
-        0.09,
-        "rope sensor: the filter follows each mode beyond the first within that share of its"
-        " frequency, as far as it may be believed wrongly; no effect with a camera, which sees"
-        " little of them",
+        0.18,
+        "rope sensor: what is fed back, mode.* and wind.fx, is of a second filter that follows each"
+        " mode beyond the first within that share of its frequency, as far as it may be believed"
+        " wrongly; 0: of the same filter as the rest; no effect with a camera, which sees little of"
+        " them",
         minimum=0.0,
     )
 
@@ -222,7 +229,7 @@ class Estimate(NamedTuple):
     An offset is what a sample shows of wind or bias at rest, m or 1 (a slope).
     """
 
-    base: Array  # z, corrected by all samples heard of, at the last one's instant
+    base: Array  # z, a row of each filter, corrected by all samples heard of, at the last's instant
     now: Array  # the base, predicted to the time reached
     time: float = 0.0  # s
     trolley: Trolley = Trolley()
@@ -245,11 +252,19 @@ class Estimate(NamedTuple):
     innovation: float = 0.0  # of the last sample used, m or rad
 
 
+class Filters(NamedTuple):
+    """What the observer runs."""
+
+    estimate: kalman.Filter
+    fed_back: kalman.Filter  # cautious; the same where one serves both
+    gains: Array  # a row of each that there is
+
+
 BLIND = ObserverInput()
 
 
 class CraneObserver(ControlPart):
-    """A filter that is run like a crane: step by step, with outputs of the cranes' names."""
+    """One filter or two, run like a crane: step by step, with outputs of the cranes' names."""
 
     def __init__(self, settings: ObserverSettings | None = None) -> None:
         self.settings = one = settings or ObserverSettings()
@@ -265,14 +280,19 @@ class CraneObserver(ControlPart):
         c, self._shown_pulled = self._seen[shown].copy(), float(self._pulled[shown])
         if one.offset == "bias":
             c[-1] = 1.0
-        self.watched = kalman.Watched(self.string, c, self._assumed_noise(), self._pull)
+        self.watched, self.cautious = (
+            kalman.Watched(self.string, c, self._assumed_noise(cautious), self._pull)
+            for cautious in (False, True)
+        )
+        one_for_all = self.cautious.noise == self.watched.noise
+        self._run = (self.watched,) if one_for_all else (self.watched, self.cautious)
         self._exact: dict[float, tuple[Array, Array]] = {}
         self._half_period = pi / float(self.string.modes.omega[0])
-        self._filters: dict[float, kalman.Filter] = {}
+        self._filters: dict[float, Filters] = {}
         self._deviations: dict[tuple[float, float], list[float]] = {}
-        rest = np.zeros_like(c)
+        rest = np.zeros((len(self._run), len(c)))
         self._state: Estimate = Estimate(rest, rest, trolley=Trolley(v=one.speed))
-        self.filter_for(self.clock.sample_time)
+        self.filters_for(self.clock.sample_time)
 
     def _sights(self) -> tuple[Array, Array]:
         """What is seen of z, a row each, and by 1 m/s2 that the trolley pulls the string with.
@@ -291,17 +311,18 @@ class CraneObserver(ControlPart):
             rows = np.column_stack((rows, left[:, 1] * self._pull))
         return rows, left[:, 0]
 
-    def _assumed_noise(self) -> kalman.Noise:
-        """The settings' noise; where they leave it open, by the crane's size."""
+    def _assumed_noise(self, cautious: bool) -> kalman.Noise:
+        """A filter's noise, as set; where the settings leave it open, by the crane's size."""
         one, assumed, h = self.settings, self.settings.noise, self.clock.sample_time
         omega = float(self.string.modes.omega[0])
         r = assumed.camera if one.sensor == "camera" else assumed.rope
         size = 1.0 if one.sensor == "camera" else one.crane.chain.length
+        waves = assumed.waves if cautious and one.sensor == "rope" else 0.0
         by_mass = assumed.payload
         if not by_mass:
-            by_mass = sqrt(INTENSITY[one.sensor] * omega**3 / h) * r * size
+            intensity = CAUTIOUS if waves else INTENSITY[one.sensor]
+            by_mass = sqrt(intensity * omega**3 / h) * r * size
         walk = r * sqrt(h) * omega / (2.0 * pi * one.periods)
-        waves = assumed.waves if one.sensor == "rope" else 0.0
         return kalman.Noise(by_mass * one.crane.payload.mass, assumed.trolley, r, h, walk, waves)
 
     @property
@@ -309,19 +330,20 @@ class CraneObserver(ControlPart):
         """The state of the observer."""
         return self._state
 
-    def filter_for(self, interval: float) -> kalman.Filter:
-        """The filter for samples every ``interval`` s, designed once. Raises BadValue."""
+    def filters_for(self, interval: float) -> Filters:
+        """The filters for samples every ``interval`` s, designed once. Raises BadValue."""
         interval = step_key(max(interval, SHORTEST * self.clock.sample_time))
         if interval not in self._filters:
             try:
-                found = kalman.steady_state(self.watched, interval)
+                found = [kalman.steady_state(one, interval) for one in self._run]
             except kalman.Unseen as error:
                 raise self._unseen(interval, error) from None
             except kalman.NoFilter as error:
                 raise self._too_noisy(error) from None
             if len(self._filters) >= _CACHED:
                 self._filters.clear()
-            self._filters[interval] = found
+            gains = np.array([one.gain for one in found])
+            self._filters[interval] = Filters(found[0], found[-1], gains)
         return self._filters[interval]
 
     def _unseen(self, interval: float, why: kalman.NoFilter) -> BadValue:
@@ -379,9 +401,9 @@ class CraneObserver(ControlPart):
         )
 
     def _moved(self, z: Array, segment: Segment) -> Array:
-        """z after a segment, exactly: Phi z + Gamma (dv, v, a)."""
+        """Each filter's z after a segment, exactly: Phi z + Gamma (dv, v, a)."""
         phi, gamma = self._exact_step(segment.h)
-        moved: Array = phi @ z + gamma @ segment[1:]
+        moved: Array = z @ phi.T + gamma @ segment[1:]
         return moved
 
     def _exact_step(self, h: float) -> tuple[Array, Array]:
@@ -393,7 +415,7 @@ class CraneObserver(ControlPart):
         return self._exact[h]
 
     def _offset(self, z: Array) -> float:
-        """The offset in a state, m or 1 (a slope); 0 where none is sought."""
+        """The offset in a filter's z, m or 1 (a slope); 0 where none is sought."""
         return 0.0 if self._pull is None else float(z[-1])
 
     def _wind(self, offset: float) -> float:
@@ -442,13 +464,12 @@ class CraneObserver(ControlPart):
         interval = self.clock.sample_time
         if state.interval is not None or state.left_out:
             interval = _lasted(segments, state.base_time, sample.time)
-        found = self.filter_for(interval)
+        found = self.filters_for(interval)
         base = self._moved_on(state.base, segments) if since else state.now
         pull = self._pull_after(segments[-1]) if segments else state.base_pull
-        expected = float(self.watched.c @ base) + self._shown_pulled * pull  # m or 1 (a slope)
-        rope = self.settings.sensor == "rope"
-        shown = sample.value - (atan(expected) if rope else expected)
-        off = shown * (1.0 + expected**2) if rope else shown  # of a slope: tan to first order
+        expected = base @ self.watched.c + self._shown_pulled * pull  # m or 1 (a slope)
+        off = [self._off(sample.value, float(one)) for one in expected]
+        shown = off[0][0]
         state = state._replace(
             base=base,
             base_step=sample.step,
@@ -458,21 +479,28 @@ class CraneObserver(ControlPart):
             coming=coming,
             innovation=shown,
         )
-        gate = self.settings.gate * found.surprise
+        gate = self.settings.gate * found.estimate.surprise
         doubtful = gate > 0.0 and abs(shown) > gate
         shut = sample.time - state.surprised >= self._half_period
         if doubtful and shut and state.doubted < PATIENCE:
             return state._replace(left_out=state.left_out + 1, doubted=state.doubted + 1)
-        base = base + found.gain * off
+        base = base + found.gains * np.array([by for _, by in off])[:, None]
         return state._replace(
             base=base,
             now=self._moved_on(base, since),
             used=state.used + 1,
-            interval=found.interval,
+            interval=found.estimate.interval,
             believed=sample.time,
             doubted=0,
             surprised=sample.time if doubtful else state.surprised,
         )
+
+    def _off(self, value: float, expected: float) -> tuple[float, float]:
+        """A sample less what was expected: as the sensor says, and of what ``expected`` is of."""
+        if self.settings.sensor == "camera":
+            return value - expected, value - expected
+        shown = value - atan(expected)
+        return shown, shown * (1.0 + expected**2)  # of a slope: tan to first order
 
     def deviations(self) -> list[float]:
         """Standard deviations, of DEVIATIONS, in the steady state, at the time reached.
@@ -485,31 +513,35 @@ class CraneObserver(ControlPart):
             since = _lasted(state.since, state.believed, state.time)
         since = round(since, 9)
         if state.interval is None:
-            found = self.filter_for(self.clock.sample_time)
-            return self._roots(found.prior)
+            found = self.filters_for(self.clock.sample_time)
+            return self._roots(found.estimate.prior, found.fed_back.prior)
         key = (state.interval, since)
         if key not in self._deviations:
-            found = self.filter_for(state.interval)
+            found = self.filters_for(state.interval)
             if len(self._deviations) >= _CACHED:
                 self._deviations.clear()
-            covariance = kalman.predicted(self.watched, found, since)
-            self._deviations[key] = self._roots(covariance)
+            self._deviations[key] = self._roots(
+                kalman.predicted(self.watched, found.estimate, since),
+                kalman.predicted(self.cautious, found.fed_back, since),
+            )
         return self._deviations[key]
 
-    def _roots(self, covariance: Array) -> list[float]:
+    def _roots(self, estimate: Array, fed_back: Array) -> list[float]:
+        """Deviations of two error covariances; the wind is what is fed back."""
         rows = self._seen[[PAYLOAD, RATE, MIDDLE, TOP]]
-        variances = np.einsum("ij,jk,ik->i", rows, covariance, rows)
+        variances = np.einsum("ij,jk,ik->i", rows, estimate, rows)
         roots = np.sqrt(np.maximum(variances, 0.0)).tolist()
-        offset = sqrt(max(float(covariance[-1, -1]), 0.0))
+        offset, steady = (sqrt(max(float(P[-1, -1]), 0.0)) for P in (estimate, fed_back))
         bias = offset if self.settings.offset == "bias" else 0.0
         camera = self.settings.sensor == "camera"
-        return [*roots, self._wind(offset), bias * camera, bias * (not camera)]
+        return [*roots, self._wind(steady), bias * camera, bias * (not camera)]
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
         state, trolley = self._state, self._state.trolley
-        seen = (self._seen @ state.now + self._pulled * state.pull).tolist()
-        x_rel, vx_rel, offset = seen[PAYLOAD], seen[RATE], self._offset(state.now)
+        sights = (state.now @ self._seen.T + self._pulled * state.pull).tolist()
+        seen, fed_back = sights[0], sights[-1]
+        x_rel, vx_rel = seen[PAYLOAD], seen[RATE]
         values: dict[str, float] = {
             "trolley.x": trolley.x,
             "trolley.v": trolley.v,
@@ -523,13 +555,13 @@ class CraneObserver(ControlPart):
         }
         for name, x in zip(CHAIN_X, seen, strict=False):
             values[name] = trolley.x + x
-        values |= zip(MODE_X, seen[SHARES], strict=True)
-        values |= zip(MODE_VX, seen[RATE_SHARES], strict=True)
-        values["wind.fx"] = self._wind(offset)
+        values |= zip(MODE_X, fed_back[SHARES], strict=True)
+        values |= zip(MODE_VX, fed_back[RATE_SHARES], strict=True)
+        values["wind.fx"] = self._wind(self._offset(state.now[-1]))
         camera = self.settings.sensor == "camera"
         values["camera.innovation"] = state.innovation if camera else 0.0
         values["rope.innovation"] = 0.0 if camera else state.innovation
-        bias = self._bias(offset)
+        bias = self._bias(self._offset(state.now[0]))
         values["camera.bias_found"] = bias if camera else 0.0
         values["rope.bias_found"] = 0.0 if camera else bias
         for name, deviation in zip(DEVIATIONS, self.deviations(), strict=True):
@@ -545,8 +577,8 @@ class CraneObserver(ControlPart):
         """
         data: Mapping[str, Any] = json.loads(state)
         motions = {name: np.array(data[name]) for name in ("base", "now")}
-        if any(motion.shape != self.watched.c.shape for motion in motions.values()):
-            raise BadState("the saved state is of an observer with another number of elements")
+        if any(motion.shape != self._state.now.shape for motion in motions.values()):
+            raise BadState("the saved state is of an observer with other modes or filters")
         self._state = Estimate(
             **dict(data)
             | motions

@@ -38,11 +38,11 @@ OUTPUTS = (
     *map(_estimate, ("payload.sway_angle", "chain.mid_x_rel", "chain.top_angle")),
     *(_estimate(f"chain.x[{i}]") for i in range(1, MATERIAL_POINTS + 1)),
     *(
-        output(f"mode.x_rel[{i}]", "m", f"share of mode {i} in payload.x_rel")
+        output(f"mode.x_rel[{i}]", "m", f"share of mode {i} in payload.x_rel, to feed back")
         for i in range(1, SHOWN_MODES + 1)
     ),
     *(
-        output(f"mode.vx_rel[{i}]", "m/s", f"share of mode {i} in payload.vx_rel")
+        output(f"mode.vx_rel[{i}]", "m/s", f"share of mode {i} in payload.vx_rel, to feed back")
         for i in range(1, SHOWN_MODES + 1)
     ),
     output("wind.fx", "N", "steady force on the payload; 0 unless observer.offset = wind"),

@@ -84,7 +84,7 @@ def closed_loop(control: AntiSway, watch: CraneObserver, string: StringModes, h:
     """
     rope = watch.settings.sensor == "rope"
     omega, n = string.modes.omega, len(string.modes.omega)
-    found, watched = watch.filter_for(h), watch.watched
+    found, watched = watch.filters_for(h).fed_back, watch.cautious
     phi, m = watched.transition(h), len(watched.c)
     modes = len(watch.string.modes.omega)
     size = 2 * n + 2 + m + 1
