@@ -38,6 +38,7 @@ LONG = 2.5  # periods of mode 1 of cruise: a longer move is planned ramp by ramp
 TAIL = 0.5  # periods of mode 1 from settling to rest
 SETTLING = 0.08  # periods of mode 1 that settling takes longer than the trolley alone, about
 ROBUST = 3  # modes
+WAVES = 4.0  # weight of the sway left in those beyond the first, which feedback damps slowly
 SPREAD = 0.05  # of each frequency: a length wrong by a tenth
 JERK_WEIGHT = 0.02  # of a jerk of A omega_1 beside a sway of A/omega_1^2
 AT_REST = 1e-9  # of A/omega_1^2 and its rates: as good as at rest
@@ -337,7 +338,7 @@ class _Program:
                     left, at = self._left(mode, M, goal)
                     less.append(wide(sign * left, unit=1 + mode, by=-1.0))
                     less_than.append(-sign * at)
-            cost[-extra:] = JERK_WEIGHT, *(1.0,) * (extra - 1)
+            cost[-extra:] = JERK_WEIGHT, 1.0, *(WAVES,) * (extra - 2)
         bounds = [*((-A, A),) * M, *zip(-V, V, strict=True), *((0.0, None),) * extra]
         bounds[0] = self._first(A, step)
         bounds[2 * M] = (0.0, self.margins.jerk)
