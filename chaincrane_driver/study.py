@@ -196,7 +196,7 @@ def files(fmus: Path) -> set[Path]:
     return {file for case in cases() for file in case.loop(fmus).fmus.values()}
 
 
-def _tables(loops: Sequence[Loop]) -> list[Table]:
+def tables_of(loops: Sequence[Loop]) -> list[Table]:
     """Run the loops, those of one controller as a series, the longest series first."""
     alike: dict[Any, list[int]] = {}
     for place, loop in enumerate(loops):
@@ -215,7 +215,7 @@ def _tables(loops: Sequence[Loop]) -> list[Table]:
 def run(fmus: Path) -> Results:
     """Run the whole study from the FMU files of a folder."""
     every = list(cases())
-    tables = _tables([case.loop(fmus) for case in every])
+    tables = tables_of([case.loop(fmus) for case in every])
     found: dict[str, dict[tuple[str, ...], list[Measured]]] = {}
     shown: dict[tuple[str, ...], Table] = {}
     for case, table in zip(every, tables, strict=True):

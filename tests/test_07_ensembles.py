@@ -22,6 +22,7 @@ from chaincrane_driver.antisway import Setup
 from chaincrane_driver.errors import UserError
 from chaincrane_driver.grid import all_inputs
 from chaincrane_driver.instances import Instances
+from chaincrane_driver.loop import Series
 from chaincrane_driver.processes import Failure, Workers, early_workers, workers_for
 from chaincrane_driver.progress import Progress
 from chaincrane_driver.simulate import Job
@@ -123,6 +124,16 @@ def test_a_closed_loop_is_the_same_in_c_and_in_python(
     stepper.library.cache_clear()
     assert np.ptp(results[0]["crane::payload.x_rel"]) > 1e-3
     assert results[0].tobytes() == results[1].tobytes()
+
+
+def test_a_series_is_its_loops_one_after_the_other(fmus: Path, instances: Instances) -> None:
+    setups = [Setup(payload=mass, sensor="camera", stop_time=0.2) for mass in (0.07, 0.42)]
+    loops = [setup.loop(fmus) for setup in setups]
+    told: list[float] = []
+    results = Series(loops).run(instances, told.append)
+    assert told == sorted(told) and told[-1] == pytest.approx(0.4)
+    for loop, result in zip(loops, results, strict=True):
+        assert result.tobytes() == loop.run(instances).tobytes()
 
 
 def test_chosen_outputs_are_all_that_is_read(native_fmus: Path, instances: Instances) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -106,6 +107,15 @@ def test_noise_is_normal_and_depends_on_seed_and_number_alone() -> None:
     assert abs(draws.var() - 1.0) < 4.0 * np.sqrt(2.0 / len(draws))
     assert abs(np.mean(draws[1:] * draws[:-1])) < 4.0 / np.sqrt(len(draws))
     assert normal(3, 7) == draws[7] != normal(4, 7)
+
+
+@pytest.mark.parametrize("number", [0, 1, 63, 64, 65, 10**12, 2**64 - 1])
+def test_noise_is_that_of_a_generator_of_its_own(number: int) -> None:
+    """Drawn in blocks or alone: Philox's two words at that count, the definition, to the bit."""
+    words = np.random.Philox(key=5, counter=number).random_raw(2).tolist()
+    u1, u2 = ((word >> 11) + 0.5 for word in words)
+    alone = math.sqrt(-2.0 * math.log(u1 / 2.0**53)) * math.cos(2.0 * math.pi * u2 / 2.0**53)
+    assert normal(5, number) == alone
 
 
 # --- prediction --------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ from chaincrane.plant.parameters import Chain, Crane, Damping, Initial, Numerics
 from chaincrane_driver import study
 from chaincrane_driver.antisway import Setup, measure
 from chaincrane_driver.errors import UserError
-from chaincrane_driver.loop import ANTISWAY, CRANE, OBSERVER, column
+from chaincrane_driver.loop import ANTISWAY, CRANE, OBSERVER, Series, column
 from chaincrane_driver.masters import Package
 from chaincrane_driver.processes import simulate_all
 from chaincrane_driver.ssp import write_ssp
@@ -161,6 +161,27 @@ def test_a_plan_ends_at_rest_within_its_limits(distance: float) -> None:
     assert path == pytest.approx(distance, abs=1e-6)
     assert max(map(abs, speeds)) <= 0.98 * limits.velocity + 1e-6
     assert max(map(abs, move.a)) <= 0.97 * limits.acceleration + 1e-6
+
+
+def test_a_move_that_is_kept_is_the_one_that_would_be_planned() -> None:
+    """Mirrored, and after moves of other cranes and limits: the same bits as planned afresh."""
+    heavy, light = (AntiSway(AntiSwaySettings(Crane(payload=Payload(mass)))) for mass in (0.4, 0.1))
+    x = np.zeros(len(heavy.model.A))
+    x[0] = -0.9
+
+    def move(control: AntiSway, sign: float, limits: Limits) -> Move:
+        start = plan.Start(sign * x[: len(control.model.A)], 0.0)
+        return plan.plan(control.model, start, limits, control.tolerance, plan.Margins(), 0.01)
+
+    cases = [(one, limits) for one in (heavy, light) for limits in (Limits(), Limits(0.4))]
+    plan.forwards.cache_clear()
+    kept = [move(one, 1.0, limits) for one, limits in cases]
+    assert len({one.end for one in kept}) > 2
+    for (one, limits), before in zip(cases, kept, strict=True):
+        back = move(one, -1.0, limits)
+        assert (back.times, back.a) == (before.times, tuple(-a for a in before.a))
+        plan.forwards.cache_clear()
+        assert move(one, 1.0, limits) == before
 
 
 def test_a_target_in_the_middle_of_a_move_is_planned_from_the_state_reached() -> None:
@@ -498,6 +519,24 @@ def test_the_study_has_all_its_rows() -> None:
             samples.setdefault(key, set()).add(case.row[-1])
     assert len(samples) == study.SAMPLES * 4
     assert all(len(models) == len(study.MODELS) for models in samples.values())
+
+
+def test_the_studys_series_are_of_one_controller_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The longest first; what comes back is in the loops' order."""
+    loops = [case.loop(Path()) for case in study.cases()]
+    seen: list[Series] = []
+
+    def loops_of(jobs: list[Series], _label: str) -> list[Any]:
+        seen.extend(jobs)
+        return [list(job.loops) for job in jobs]
+
+    monkeypatch.setattr(study, "simulate_all", loops_of)
+    assert [id(one) for one in study.tables_of(loops)] == [id(one) for one in loops]
+    assert len(seen) < 0.5 * len(loops)
+    times = [series.stop_time for series in seen]
+    assert times == sorted(times, reverse=True)
+    for series in seen:
+        assert all(loop.start[ANTISWAY] == series.loops[0].start[ANTISWAY] for loop in series.loops)
 
 
 def table_rows(text: str, title: str) -> list[list[str]]:

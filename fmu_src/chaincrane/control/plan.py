@@ -135,12 +135,12 @@ def _from_rest(
 ) -> Move:
     """From rest a move and its mirror image are one, and a short one is a longer one scaled."""
     least = max(abs(distance), 0.1 * tolerance)
-    move = _forwards(model, least, limits, min(tolerance, TIGHT * least), margins, h)
+    move = forwards(model, least, limits, min(tolerance, TIGHT * least), margins, h)
     return move.scaled(distance / least)
 
 
 @lru_cache(_KEPT)
-def _forwards(
+def forwards(
     model: Model, distance: float, limits: Limits, tolerance: float, margins: Margins, h: float
 ) -> Move:
     """The move from rest to rest ``distance`` m ahead, kept: the same is asked for again."""
