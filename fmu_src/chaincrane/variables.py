@@ -18,6 +18,7 @@ from .errors import BadValue
 ABOVE_ZERO = 2.2250738585072014e-308  # smallest normal number: the "above 0" of a closed range
 FINITE = "a finite number"
 _ROW = "variable"
+_FLOATS = frozenset((float,))
 
 Settings = TypeVar("Settings")
 
@@ -172,8 +173,21 @@ def values_of(settings: Any) -> dict[str, Any]:
     return {row.name: value(settings) for row, value in _readers(settings.__class__)}
 
 
+@cache
+def _numbers(settings: type) -> Callable[[Any], tuple[Any, ...]] | None:
+    """What reads all values at once where any finite number is allowed for each; else None."""
+    places = _places(settings)
+    free = all((row.kind, row.minimum, row.maximum) == ("Real", None, None) for row, _ in places)
+    return attrgetter(*(name for _, name in places)) if free and len(places) > 1 else None
+
+
 def check_rows(settings: Any) -> None:
     """Raise BadValue for the first value of a settings instance that is not allowed."""
+    numbers = _numbers(settings.__class__)
+    if numbers is not None:  # the inputs of a step: a sum tells of all whether they are finite
+        values = numbers(settings)
+        if _FLOATS.issuperset(map(type, values)) and isfinite(sum(values)):
+            return
     for row, value in _readers(settings.__class__):
         row.check(value(settings))
 
