@@ -62,13 +62,13 @@ INTENSITY = {"camera": 0.02, "rope": 0.008}  # q^2 h/(r^2 omega_1^3), what the d
 CAUTIOUS = 0.02  # the same, of the cautious filter
 PATIENCE = 5  # samples in a row that are left out; the next one is believed
 DEVIATIONS = (
-    "payload.x_rel",
-    "payload.vx_rel",
-    "chain.mid_x_rel",
-    "chain.top_angle",
-    "wind.fx",
-    "camera.bias_found",
-    "rope.bias_found",
+    "std.payload.x_rel",
+    "std.payload.vx_rel",
+    "std.chain.mid_x_rel",
+    "std.chain.top_angle",
+    "std.wind.fx",
+    "std.camera.bias_found",
+    "std.rope.bias_found",
 )
 SHORTEST = 1e-3  # of sample_time: samples nearer than that share their gain
 # What is seen of the state: places of the rows of its matrix.
@@ -553,8 +553,7 @@ class CraneObserver(ControlPart):
             "chain.mid_x_rel": seen[MIDDLE],
             "chain.top_angle": atan(seen[TOP]),
         }
-        for name, x in zip(CHAIN_X, seen, strict=False):
-            values[name] = trolley.x + x
+        values |= zip(CHAIN_X, [trolley.x + x for x in seen[:MATERIAL_POINTS]], strict=True)
         values |= zip(MODE_X, fed_back[SHARES], strict=True)
         values |= zip(MODE_VX, fed_back[RATE_SHARES], strict=True)
         values["wind.fx"] = self._wind(self._offset(state.now[-1]))
@@ -564,8 +563,7 @@ class CraneObserver(ControlPart):
         bias = self._bias(self._offset(state.now[0]))
         values["camera.bias_found"] = bias if camera else 0.0
         values["rope.bias_found"] = 0.0 if camera else bias
-        for name, deviation in zip(DEVIATIONS, self.deviations(), strict=True):
-            values[f"std.{name}"] = deviation
+        values |= zip(DEVIATIONS, self.deviations(), strict=True)
         values["sensor.samples"] = state.used
         values["sensor.left_out"] = state.left_out
         return values
