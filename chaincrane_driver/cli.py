@@ -65,7 +65,7 @@ COMMANDS = {
         "chaincrane export paper_heavy --out crosscheck",
     ),
     "study": (
-        "Run a study from the FMUs: tables and a picture. The study: observer, some minutes.",
+        "Run a study from the FMUs: tables and a picture. The study: observer, a minute or two.",
         "chaincrane study observer --out docs",
     ),
 }

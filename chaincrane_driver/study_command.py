@@ -11,7 +11,7 @@ from .stale import say_if_stale
 
 
 def command(options: argparse.Namespace) -> int:
-    """Run a study from the FMUs: tables and a picture. The study: observer, some minutes."""
+    """Run a study from the FMUs: tables and a picture. The study: observer, a minute or two."""
     say_if_stale(sorted(study.files(options.fmus)))
     results = study.run(options.fmus)
     text = study.report(results)

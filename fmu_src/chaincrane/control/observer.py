@@ -468,7 +468,7 @@ class CraneObserver(ControlPart):
         base = self._moved_on(state.base, segments) if since else state.now
         pull = self._pull_after(segments[-1]) if segments else state.base_pull
         expected = base @ self.watched.c + self._shown_pulled * pull  # m or 1 (a slope)
-        off = [self._off(sample.value, float(one)) for one in expected]
+        off = [self._off(sample.value, one) for one in expected.tolist()]
         shown = off[0][0]
         state = state._replace(
             base=base,
@@ -484,7 +484,7 @@ class CraneObserver(ControlPart):
         shut = sample.time - state.surprised >= self._half_period
         if doubtful and shut and state.doubted < PATIENCE:
             return state._replace(left_out=state.left_out + 1, doubted=state.doubted + 1)
-        base = base + found.gains * np.array([by for _, by in off])[:, None]
+        base = base + found.gains * np.array([[by] for _, by in off])
         return state._replace(
             base=base,
             now=self._moved_on(base, since),
