@@ -204,6 +204,23 @@ def test_a_rope_beyond_the_horizontal_is_left_out() -> None:
     assert watch.outputs()["sensor.samples"] == 1
 
 
+@pytest.mark.parametrize("inputs_at", ["start", "end"])
+@pytest.mark.parametrize("delay", [0.0, 0.03])
+def test_the_estimate_is_its_base_run_on(delay: float, inputs_at: str) -> None:
+    """To the bit, with late samples, several at once and some left out: no step is done twice."""
+    watch = CraneObserver(at_rest(clock=Clock(delay=delay), inputs_at=inputs_at, gate=3.0))
+    generator = np.random.default_rng(2)
+    for number in range(400):
+        angle = 0.3 if number % 50 == 49 else 0.01 * generator.standard_normal()
+        told = ObserverInput(trolley_a_cmd=generator.normal(0.0, 0.2), rope_top_angle=angle)
+        watch.step(float(generator.choice([0.004, 0.01, 0.05, 0.1])), told)
+        now = watch.estimate.base
+        for segment in watch.estimate.since:
+            now = watch._moved(now, segment)
+        np.testing.assert_array_equal(watch.estimate.now, now)
+    assert watch.estimate.used > 200 and watch.estimate.left_out > 2
+
+
 def test_a_saved_observer_runs_on_with_the_same_bits() -> None:
     """Samples on their way and commands since the last one are in the state."""
     settings = at_rest(clock=Clock(delay=0.034, seed=5), rope=Rope(0.01))
