@@ -146,12 +146,16 @@ def new_figure(
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write a figure as PNG, SVG and PDF, the last two the same bytes each time; the paths."""
     import matplotlib.pyplot as plt
+    from matplotlib.text import Text
 
     kinds: dict[str, dict[str, Any]] = {
         "png": {"dpi": PNG_DPI, "pil_kwargs": {"compress_level": PNG_EFFORT}},
         "svg": {"metadata": {"Date": None}},
         "pdf": {"metadata": {"CreationDate": None}},
     }
+    for text in figure.findobj(Text):
+        if hasattr(text, "set_fontfeatures"):  # from Matplotlib 3.11 on there are ligatures,
+            text.set_fontfeatures(("-liga",))  # and a PDF has a second font for that of "ff"
     # Laid out here, once, as in the PNG: a figure with a layout engine is drawn twice in each file,
     # first to lay it out.
     figure.set_dpi(PNG_DPI)
