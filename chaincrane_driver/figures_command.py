@@ -6,6 +6,7 @@ import argparse
 
 from . import compare, plots, scenario
 from .options import add_out, add_scenarios
+from .places import whole_file
 from .processes import do_all, workers_for
 from .run_command import checked_units, jobs_of
 
@@ -25,8 +26,11 @@ def command(options: argparse.Namespace) -> int:
         labels = (label for label, _ in PAPER)
         panels = list(zip(labels, scenarios, results, strict=True))
         drawings = plots.papers_figures(panels, options.out)
-        written = [path for paths in do_all(workers, drawings, "figures") for path in paths]
-    print("written: " + ", ".join(str(path) for path in written))
+        files = [file for files in do_all(workers, drawings, "figures") for file in files]
+    for path, content in files:
+        with whole_file(path) as partial:
+            partial.write_bytes(content)
+    print("written: " + ", ".join(str(path) for path, _ in files))
     return 0
 
 

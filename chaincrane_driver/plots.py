@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import cycle
 from math import ceil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,9 +76,16 @@ class Drawing:
         """What messages call it."""
         return str(self.stem)
 
-    def run(self, _instances: Instances, _progress: Progress | None = None) -> list[Path]:
-        """Draw it; the files' paths."""
-        return self.draw(self.panels, self.what, self.stem)
+    def run(
+        self, _instances: Instances, _progress: Progress | None = None
+    ) -> list[tuple[Path, bytes]]:
+        """Draw it: each file's path, and what is to be written there.
+
+        A worker may be stopped at any time, and would leave half a file.
+        """
+        with TemporaryDirectory() as folder:
+            drawn = self.draw(self.panels, self.what, Path(folder, self.stem.name))
+            return [(self.stem.with_name(file.name), file.read_bytes()) for file in drawn]
 
 
 def papers_figures(panels: Panels, out: Path) -> list[Drawing]:

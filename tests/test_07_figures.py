@@ -13,6 +13,7 @@ from conftest import ROOT
 
 from chaincrane_driver import plots, scenario
 from chaincrane_driver.compare import shown
+from chaincrane_driver.instances import Instances
 from chaincrane_driver.scenario import Run, Scenario
 from chaincrane_driver.tables import Table, read_table
 
@@ -74,6 +75,20 @@ def test_the_papers_figures(
     again = plots.motion_figure(panels, "payload.x_rel", tmp_path / "again")
     for one, other in zip((svg, pdf), again[1:], strict=True):
         assert one.read_bytes() == other.read_bytes()
+
+
+def test_a_worker_writes_no_figure_where_it_goes(
+    panels: list[tuple[str, Scenario, dict[str, Table]]], tmp_path: Path
+) -> None:
+    """It is killed by Ctrl-C, and would leave half of one."""
+    out = tmp_path / "out"
+    shapes, *motions = plots.papers_figures(panels, out)
+    assert len(motions) == 3 and not out.exists()
+    files = dict(shapes.run(Instances()))
+    assert not out.exists()
+    assert [path.parent for path in files] == [out] * 3
+    assert files[out / "fig4_shapes.pdf"].startswith(b"%PDF")
+    assert files[out / "fig4_shapes.png"].startswith(b"\x89PNG")
 
 
 def test_every_chain_of_figure_4_is_seen_and_dated(
