@@ -89,8 +89,12 @@ class Drawing:
 
 
 def papers_figures(panels: Panels, out: Path) -> list[Drawing]:
-    """The paper's Figs. 4 to 7, the one that takes longest first."""
-    shapes = _only(panels, ("trolley.x", *SHAPE_X, *SHAPE_Y))
+    """The paper's Figs. 4 to 7, the one that takes longest first; each with what it shows alone."""
+    at_times = [
+        (label, one, {run: _at(table, SHAPE_TIMES) for run, table in results.items()})
+        for label, one, results in panels
+    ]
+    shapes = _only(at_times, ("trolley.x", *SHAPE_X, *SHAPE_Y))
     return [
         Drawing(shape_figure, shapes, SHAPE_TIMES, out / "fig4_shapes"),
         *(
@@ -101,16 +105,22 @@ def papers_figures(panels: Panels, out: Path) -> list[Drawing]:
 
 
 def _only(panels: Panels, signals: Sequence[str]) -> Panels:
-    """Panels without what a figure does not show, to travel light."""
+    """Panels with some signals, packed: a pipe takes them at once."""
 
-    def lean(table: Table) -> Table:
-        packed: Table = repack_fields(table[["time", *signals]])
-        return packed
+    def packed(table: Table) -> Table:
+        some: Table = repack_fields(table[["time", *signals]])
+        return some
 
     return [
-        (label, one, {run: lean(table) for run, table in results.items()})
+        (label, one, {run: packed(table) for run, table in results.items()})
         for label, one, results in panels
     ]
+
+
+def _at(table: Table, times: Sequence[float]) -> Table:
+    """The rows of a table that are nearest to some times, s."""
+    rows: Table = table[[int(np.argmin(np.abs(table["time"] - time))) for time in times]]
+    return rows
 
 
 def new_figure(
@@ -268,8 +278,7 @@ def shape_figure(panels: Panels, times: tuple[float, ...], stem: Path) -> list[P
     colours = shape_colours(len(times))
     for row, (name, scenario, results) in enumerate(panels):
         for column, run in enumerate(scenario.runs[:2]):
-            panel, table = axes[row, column], results[run.name]
-            at = table[[int(np.argmin(np.abs(table["time"] - time))) for time in times]]
+            panel, at = axes[row, column], _at(results[run.name], times)
             x = np.array([at[name] for name in ("trolley.x", *SHAPE_X)])
             y = np.array([np.zeros(len(at)), *(at[name] for name in SHAPE_Y)])
             chains = panel.plot(x, y, linewidth=0.9)
