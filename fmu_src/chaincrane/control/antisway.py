@@ -55,11 +55,11 @@ PAUSE = 0.25  # periods of mode 1 from a plan to one that a deviation asks for; 
 MOST_ANEW = 4  # times twice
 HASTE = 0.05  # periods of mode 1 from a plan to one for the next target: a target may slide
 # The weights that a crane's size suggests, in A/omega_1^2, A and A omega_1.
-POSITION, SWAY, ACCELERATION, JERK = 2.5, 1.8, 0.5, 0.55
+POSITION, SWAY, ACCELERATION, JERK = 2.5, 2.2, 0.2, 0.5
 SHARE = 2e-3
 SHAPED = 2  # modes of zvd
 MOVED = 2  # modes that a plan takes from an estimate: the others' sway is less than its noise
-TOLERANCE, DEVIATION = 0.045, 0.1  # of A/omega_1^2
+TOLERANCE, DEVIATION = 0.045, 0.12  # of A/omega_1^2
 _CACHED = 64
 
 

@@ -59,7 +59,7 @@ from .sensor import Camera, Clock, Rope, Sensor
 SENSORS = ("camera", "rope")
 OFFSETS = ("wind", "bias", "none")
 INTENSITY = {"camera": 0.02, "rope": 0.008}  # q^2 h/(r^2 omega_1^3), what the default q is made for
-CAUTIOUS = 0.02  # the same, of the cautious filter
+CAUTIOUS = 0.03  # the same, of the cautious filter
 PATIENCE = 5  # samples in a row that are left out; the next one is believed
 DEVIATIONS = (
     "std.payload.x_rel",
@@ -109,7 +109,7 @@ class AssumedNoise:
         0.0,
         "assumed standard deviation q of the outer force on the payload, by its mass; 0: what the"
         " crane's size and the sensor's noise r (rope: times the length) suggest, q^2 h/(r^2"
-        " omega_1^3) = 0.02, or 0.008 for what the rope sensor has not to feed back; h the sample"
+        " omega_1^3) = 0.02 (camera), 0.008 (rope) or 0.03 (rope, what is fed back), h the sample"
         " time",
         minimum=0.0,
         nominal=0.1,
