@@ -350,7 +350,7 @@ class AntiSway(ControlPart):
         x: Array = np.array((*self._told_state(told), *follows))
         x -= told.wind_fx * self._held_by_wind
         if self.settings.inputs_at == "start":
-            x = one.Ad @ x + one.Bd[:, 0] * before.a
+            x = one.Ad.dot(x) + one.Bd[:, 0] * before.a
         elif lag:
             x[-1] = followed(before.follows, before.a, 1.0, lag)[1]
         return x
@@ -365,7 +365,7 @@ class AntiSway(ControlPart):
         if state.goal is None:
             state = state._replace(goal=float(x[0]), reference=self._from_estimate(None, x))
         else:
-            reference = one.plan_Ad @ state.reference + one.plan_Bd[:, 0] * state.reference_a
+            reference = one.plan_Ad.dot(state.reference) + one.plan_Bd[:, 0] * state.reference_a
             state = state._replace(reference=reference)
         since = state.time - state.begun
         if target != state.goal and (not state.move.a or since >= HASTE * self.model.period):
@@ -464,4 +464,4 @@ class AntiSway(ControlPart):
 
 def _jerk(K: Array, x: Array, a: float) -> float:
     """What the regulator makes of a state and a commanded acceleration, K [x; a], m/s3."""
-    return float(K[:-1] @ x + K[-1] * a)
+    return float(K[:-1].dot(x) + K[-1] * a)

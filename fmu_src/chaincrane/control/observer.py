@@ -403,7 +403,7 @@ class CraneObserver(ControlPart):
     def _moved(self, z: Array, segment: Segment) -> Array:
         """Each filter's z after a segment, exactly: Phi z + Gamma (dv, v, a)."""
         phi, gamma = self._exact_step(segment.h)
-        moved: Array = z @ phi.T + gamma @ segment[1:]
+        moved: Array = z.dot(phi.T) + gamma.dot(segment[1:])
         return moved
 
     def _exact_step(self, h: float) -> tuple[Array, Array]:
@@ -467,7 +467,7 @@ class CraneObserver(ControlPart):
         found = self.filters_for(interval)
         base = self._moved_on(state.base, segments) if since else state.now
         pull = self._pull_after(segments[-1]) if segments else state.base_pull
-        expected = base @ self.watched.c + self._shown_pulled * pull  # m or 1 (a slope)
+        expected = base.dot(self.watched.c) + self._shown_pulled * pull  # m or 1 (a slope)
         off = [self._off(sample.value, one) for one in expected.tolist()]
         shown = off[0][0]
         state = state._replace(
@@ -539,7 +539,7 @@ class CraneObserver(ControlPart):
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
         state, trolley = self._state, self._state.trolley
-        sights = (state.now @ self._seen.T + self._pulled * state.pull).tolist()
+        sights = (state.now.dot(self._seen.T) + self._pulled * state.pull).tolist()
         seen, fed_back = sights[0], sights[-1]
         x_rel, vx_rel = seen[PAYLOAD], seen[RATE]
         values: dict[str, float] = {
