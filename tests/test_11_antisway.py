@@ -73,13 +73,14 @@ def test_the_regulator_is_stable_and_optimal(modes: int, lag: float) -> None:
     """Every other gain nearby costs more: the weighted squares, summed for ever (Lyapunov)."""
     string, h = TautString(discretise(Crane(payload=Payload(HEAVY)), 2)), 0.05
     Ad, Bd = discretised(*design_model(string, modes, lag), h)
-    K = regulator(Ad, Bd, h, modes, Weights(0.2, 0.1, 0.5, 2.0))
+    K = regulator(Ad, Bd, h, modes, Weights(0.2, 0.1, 0.05, 0.5, 2.0))
     size = len(Ad)
     A = np.block([[Ad, Bd], [np.zeros((1, size)), np.ones((1, 1))]])
     B = h * np.vstack((Bd, np.ones((1, 1))))
     assert np.abs(np.linalg.eigvals(A - B @ K[None])).max() < 1.0
     weights = np.zeros(size + 1)
-    weights[0], weights[2 : 2 + 2 * modes : 2], weights[-1] = 0.2**-2, 0.1**-2, 0.5**-2
+    weights[[0, 2, -1]] = 0.2**-2, 0.1**-2, 0.5**-2
+    weights[4 : 2 + 2 * modes : 2] = 0.05**-2
 
     def cost(gain: np.ndarray) -> float:
         each = np.diag(weights) + np.outer(gain, gain) / 2.0**2

@@ -9,6 +9,7 @@ computed it.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot
 from operator import attrgetter
@@ -54,8 +55,13 @@ SHORTEST = 1e-3  # of 1/omega_1: steps shorter than that share their gain
 PAUSE = 0.25  # periods of mode 1 from a plan to one that a deviation asks for; then twice as long
 MOST_ANEW = 4  # times twice
 HASTE = 0.05  # periods of mode 1 from a plan to one for the next target: a target may slide
-# The weights that a crane's size suggests, in A/omega_1^2, A and A omega_1.
-POSITION, SWAY, ACCELERATION, JERK = 2.5, 2.2, 0.2, 0.5
+# The weights that a crane's size suggests, in A/omega_1^2, A and A omega_1. About a plan they are
+# calm: what swings far beside it is planned anew.
+POSITION = {"planned": 2.2, "lqr": 2.5}
+SWAY = {"planned": 2.4, "lqr": 1.2}
+ACCELERATION = {"planned": 0.16, "lqr": 0.5}
+JERK = {"planned": 0.4, "lqr": 0.45}
+WAVES = {"planned": 0.45, "lqr": 1.0}  # of the sway, in each mode beyond the first
 SHARE = 2e-3
 SHAPED = 2  # modes of zvd
 MOVED = 2  # modes that a plan takes from an estimate: the others' sway is less than its noise
@@ -68,9 +74,13 @@ def _share(name: str, unit: str, mode: int) -> Any:
     return held_input(f"mode.{name}[{mode}]", unit, meaning)
 
 
-def _sized(name: str, unit: str, meaning: str, number: float, size: str) -> Any:
-    """A parameter that is a number of a size of the crane's unless it is set."""
-    words = f"{meaning}; 0: {number:g} {size}, A = limit.acceleration"
+def _sized(
+    name: str, unit: str, meaning: str, number: float | Mapping[str, float], size: str
+) -> Any:
+    """A parameter that is a number, the method's, of a size of the crane's unless it is set."""
+    by_method = number if isinstance(number, Mapping) else {}
+    told = " or ".join(f"{one:g} ({method})" for method, one in by_method.items()) or f"{number:g}"
+    words = f"{meaning}; 0: {told} {size}, A = limit.acceleration"
     return parameter(f"antisway.{name}", unit, 0.0, words, minimum=0.0, nominal=0.1)
 
 
@@ -88,7 +98,8 @@ class Scales:
     sway: float = _sized(
         "scale.sway",
         "m",
-        "regulator: sway of the payload, in each mode, that weighs like the other scales",
+        "regulator: sway of the payload, in each mode, that weighs like the other scales; planned:"
+        f" in those beyond the first {WAVES['planned']:.2g} of it",
         SWAY,
         "A/omega_1^2",
     )
@@ -269,11 +280,14 @@ class AntiSway(ControlPart):
         one, A = self.settings, self.settings.limits.acceleration
         omega = float(self.string.modes.omega[0])
         length = A / omega**2
+        method = one.method if one.method in FEEDBACK else FEEDBACK[0]
+        sway = one.scales.sway or SWAY[method] * length
         weights = Weights(
-            one.scales.position or POSITION * length,
-            one.scales.sway or SWAY * length,
-            one.scales.acceleration or ACCELERATION * A,
-            one.scales.jerk or JERK * A * omega,
+            one.scales.position or POSITION[method] * length,
+            sway,
+            WAVES[method] * sway,
+            one.scales.acceleration or ACCELERATION[method] * A,
+            one.scales.jerk or JERK[method] * A * omega,
         )
         tolerance = one.tolerance or TOLERANCE * length
         return weights, tolerance, one.deviation or DEVIATION * length

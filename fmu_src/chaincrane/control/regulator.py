@@ -52,7 +52,8 @@ class Weights:
     """Deviations that weigh alike in the regulator's cost (Bryson & Ho 1975)."""
 
     position: float  # m
-    sway: float  # m, in each mode
+    sway: float  # m, in mode 1
+    waves: float  # m, in each mode beyond it
     acceleration: float  # m/s2
     jerk: float  # m/s3
 
@@ -69,7 +70,8 @@ def regulator(Ad: Array, Bd: Array, h: float, modes: int, weights: Weights) -> A
     B = h * np.vstack((Bd, np.ones((1, 1))))
     Q = np.zeros(size + 1)
     Q[0] = weights.position**-2
-    Q[2 : 2 + 2 * modes : 2] = weights.sway**-2
+    Q[2 : 2 + 2 * modes : 2] = weights.waves**-2
+    Q[2] = weights.sway**-2
     Q[-1] = weights.acceleration**-2
     R = np.array([[weights.jerk**-2]])
     S = solve_discrete_are(A, B, np.diag(Q), R)
