@@ -586,6 +586,15 @@ def test_many_elements_serve_with_either_sensor(sensor: str, elements: int) -> N
     assert np.all(found.gains[:, 0] != 0.0) and np.isfinite(watch.deviations()).all()
 
 
+@pytest.mark.parametrize("angle", [0.0, 1.5, -1.5])
+def test_steep_samples_leave_the_estimate_at_the_chain(angle: float) -> None:
+    """Far beyond what a string is a model of; more elements made it run away within 0.3 s."""
+    watch = CraneObserver(ObserverSettings(model="chain", elements=20, sensor="rope"))
+    for _ in range(500):
+        watch.step(0.01, ObserverInput(trolley_a_cmd=0.1, rope_top_angle=angle))
+        assert abs(watch.outputs()["payload.x_rel"]) < 4.0 * watch.settings.crane.chain.length
+
+
 def test_modes_of_a_fine_mesh_know_what_they_leave_out() -> None:
     """At rest under wind and braking: the static solution of forty elements, to round-off."""
     chain = discretise(LIGHT, 40)

@@ -60,6 +60,7 @@ SENSORS = ("camera", "rope")
 OFFSETS = ("wind", "bias", "none")
 INTENSITY = {"camera": 0.02, "rope": 0.008}  # q^2 h/(r^2 omega_1^3), what the default q is made for
 CAUTIOUS = 0.03  # the same, of the cautious filter
+STEEP = 1.0  # slope beyond which a correction grows no more: a string is no model of it
 PATIENCE = 5  # samples in a row that are left out; the next one is believed
 DEVIATIONS = (
     "std.payload.x_rel",
@@ -500,7 +501,8 @@ class CraneObserver(ControlPart):
         if self.settings.sensor == "camera":
             return value - expected, value - expected
         shown = value - atan(expected)
-        return shown, shown * (1.0 + expected**2)  # of a slope: tan to first order
+        slope = min(abs(expected), STEEP)
+        return shown, shown * (1.0 + slope**2)  # of a slope: tan to first order
 
     def deviations(self) -> list[float]:
         """Standard deviations, of DEVIATIONS, in the steady state, at the time reached.
