@@ -595,7 +595,7 @@ def test_no_wave_grows_where_mass_or_length_are_believed_wrongly(mass: float, se
 def test_a_filter_sure_of_its_frequencies_makes_a_wave_grow() -> None:
     """What observer.noise.waves is for: without it mode 2 grows where the payload is lighter.
 
-    By 5e-4 1/s, five times what is allowed.
+    By 3.5e-4 1/s, more than three times what is allowed.
     """
     believed = Crane(payload=Payload(HEAVY))
     sure = ObserverSettings(believed, speed=0.0, sensor="rope", noise=AssumedNoise(waves=0.0))

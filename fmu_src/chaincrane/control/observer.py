@@ -58,7 +58,7 @@ from .sensor import Camera, Clock, Rope, Sensor
 
 SENSORS = ("camera", "rope")
 OFFSETS = ("wind", "bias", "none")
-INTENSITY = {"camera": 0.02, "rope": 0.008}  # q^2 h/(r^2 omega_1^3), what the default q is made for
+INTENSITY = {"camera": 0.02, "rope": 0.004}  # q^2 h/(r^2 omega_1^3), what the default q is made for
 CAUTIOUS = 0.03  # the same, of the cautious filter
 STEEP = 1.0  # slope beyond which a correction grows no more: a string is no model of it
 PATIENCE = 5  # samples in a row that are left out; the next one is believed
@@ -110,7 +110,7 @@ class AssumedNoise:
         0.0,
         "assumed standard deviation q of the outer force on the payload, by its mass; 0: what the"
         " crane's size and the sensor's noise r (rope: times the length) suggest, q^2 h/(r^2"
-        " omega_1^3) = 0.02 (camera), 0.008 (rope) or 0.03 (rope, what is fed back), h the sample"
+        " omega_1^3) = 0.02 (camera), 0.004 (rope) or 0.03 (rope, what is fed back), h the sample"
         " time",
         minimum=0.0,
         nominal=0.1,
@@ -480,8 +480,8 @@ class CraneObserver(ControlPart):
             coming=coming,
             innovation=shown,
         )
-        gate = self.settings.gate * found.estimate.surprise
-        doubtful = gate > 0.0 and abs(shown) > gate
+        gate = self.settings.gate * found.fed_back.surprise  # of the one that believes in a push
+        doubtful = gate > 0.0 and abs(off[-1][0]) > gate
         shut = sample.time - state.surprised >= self._half_period
         if doubtful and shut and state.doubted < PATIENCE:
             return state._replace(left_out=state.left_out + 1, doubted=state.doubted + 1)
