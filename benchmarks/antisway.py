@@ -280,7 +280,7 @@ def main() -> None:
     """Measure, and print the worst of the seeds."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("part", nargs="*", choices=(*PARTS, "eigenvalues", []), default=[])
-    parser.add_argument("--seeds", type=int, help="10; 1 of the minutes of long and sizes")
+    parser.add_argument("--seeds", type=int, help="noise samples a case (10; of long and sizes 1)")
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     library()

@@ -9,8 +9,8 @@ The state z is the filter's (:mod:`kalman`), an offset last where one is sought.
 is linear: each output, the sample and its deviations are rows of one matrix.
 
 A rope-angle sensor has two filters, which hear the same samples. The estimate is of one that is
-sure of the frequencies: there is no better one if they are right. What is fed back is of a cautious
-one, noisier in the waves, so that no wave grows if they are wrong.
+sure of the frequencies, quiet, and late to believe in a push. What is fed back is of a cautious
+one, noisier, so that waves hardly grow where their frequencies are believed wrongly.
 """
 
 from __future__ import annotations
@@ -522,10 +522,9 @@ class CraneObserver(ControlPart):
             found = self.filters_for(state.interval)
             if len(self._deviations) >= _CACHED:
                 self._deviations.clear()
-            self._deviations[key] = self._roots(
-                kalman.predicted(self.watched, found.estimate, since),
-                kalman.predicted(self.cautious, found.fed_back, since),
-            )
+            each = zip(self._run, found[:2], strict=False)
+            errors = [kalman.predicted(watched, one, since) for watched, one in each]
+            self._deviations[key] = self._roots(errors[0], errors[-1])
         return self._deviations[key]
 
     def _roots(self, estimate: Array, fed_back: Array) -> list[float]:
