@@ -8,12 +8,13 @@ computed it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -35,6 +36,7 @@ from .design import (
     INPUTS_AT,
     MAX_MODES,
     SHOWN_MODES,
+    Carried,
     ControlPart,
     check_design,
     design_string,
@@ -221,8 +223,9 @@ class Designed:
     plan_Bd: Array
 
 
-class Drive(NamedTuple):
-    """All that the controller carries from step to step; a tuple, as the observer's state is."""
+@dataclass
+class Drive(Carried):
+    """All that the controller carries from step to step."""
 
     time: float = 0.0  # s
     a: float = 0.0  # m/s2, commanded now
@@ -231,8 +234,8 @@ class Drive(NamedTuple):
     goal: float | None = None  # m, where the move ends; None: no move yet
     begun: float = 0.0  # s, when it began
     anew: int = 0  # plans in a row that a deviation has asked for
-    move: Move = Move()
-    reference: Array = np.zeros(0)  # the plan's state now
+    move: Move = field(default_factory=Move)
+    reference: Array = field(default_factory=lambda: np.zeros(0))  # the plan's state now
     reference_a: float = 0.0  # m/s2, the plan's acceleration over the last step
 
 
@@ -306,8 +309,9 @@ class AntiSway(ControlPart):
                 raise BadValue("step size", h, allowed) from None
             if len(self._designs) >= _CACHED:
                 self._designs.clear()
-            whole_plan = discretised(self.model.A, self.model.B, key)
-            self._designs[key] = Designed(*discretised(A, B, key), K, *whole_plan)
+            Ad, Bd = discretised(A, B, key)
+            plan_Ad, plan_Bd = discretised(self.model.A, self.model.B, key)
+            self._designs[key] = Designed(Ad, Bd[:, 0], K, plan_Ad, plan_Bd[:, 0])
         return self._designs[key]
 
     def step(self, h: float, told: AntiSwayInput) -> None:
@@ -318,33 +322,35 @@ class AntiSway(ControlPart):
         """
         check_rows(told)
         check_step_size(h)
-        state = self._state
+        state = self._state.copy()
         start_v = told.trolley_v if state.v is None else state.v
-        _, follows = followed(state.follows, state.a, h, self.settings.lag)
-        state = state._replace(time=state.time + h, v=start_v + h * state.a, follows=follows)
+        _, state.follows = followed(state.follows, state.a, h, self.settings.lag)
+        state.time += h
+        state.v = start_v + h * state.a
         if self.settings.method in FEEDBACK:
-            state, wanted = self._regulated(state, h, told)
+            wanted = self._regulated(state, h, told)
         else:
-            state = self._moving(state, h, told.trolley_x, told.target_x)
+            self._start_move(state, h, told.trolley_x, told.target_x)
             wanted = state.move.mean(state.time - state.begun, h)
-        self._state = state._replace(a=self.limited(wanted, state.v or 0.0, h))
+        state.a = self.limited(wanted, state.v, h)
+        self._state = state
 
     # --- in closed loop -----------------------------------------------------------------------
 
-    def _regulated(self, state: Drive, h: float, told: AntiSwayInput) -> tuple[Drive, float]:
-        """The reference at this step's end, and a = its own and what the regulator adds."""
+    def _regulated(self, state: Drive, h: float, told: AntiSwayInput) -> float:
+        """Acceleration, m/s2: that of the reference at this step's end, and the regulator's."""
         one = self.design(h)
         x = self._predicted(one, told)
         if self.settings.method == "lqr":
             far = CRUISE * self.settings.limits.velocity * one.K[1] / one.K[0]
             x[0] = min(max(x[0] - told.target_x, -far), far)
-            return state, state.a - h * _jerk(one.K, x, state.a)
-        state = self._referred(state, one, x, h, told.target_x)
+            return state.a - h * _jerk(one.K, x, state.a)
+        self._refer(state, one, x, h, told.target_x)
         off = x - self._fed_back(state.reference)
         before = state.a - state.reference_a
         ahead = state.move.mean(state.time - state.begun, h)
-        wanted = ahead + before - h * _jerk(one.K, off, before)
-        return state._replace(reference_a=ahead), wanted
+        state.reference_a = ahead
+        return ahead + before - h * _jerk(one.K, off, before)
 
     def _steady(self) -> Array:
         """Trolley and fed back modes at rest under 1 N of wind, the payload on its target.
@@ -364,7 +370,7 @@ class AntiSway(ControlPart):
         x: Array = np.array((*self._told_state(told), *follows))
         x -= told.wind_fx * self._held_by_wind
         if self.settings.inputs_at == "start":
-            x = one.Ad.dot(x) + one.Bd[:, 0] * before.a
+            x = one.Ad.dot(x) + one.Bd * before.a
         elif lag:
             x[-1] = followed(before.follows, before.a, 1.0, lag)[1]
         return x
@@ -374,31 +380,31 @@ class AntiSway(ControlPart):
         kept = reference[: 2 + 2 * self.modes]
         return np.append(kept, reference[-1]) if self.settings.lag else kept
 
-    def _referred(self, state: Drive, one: Designed, x: Array, h: float, target: float) -> Drive:
+    def _refer(self, state: Drive, one: Designed, x: Array, h: float, target: float) -> None:
         """The reference at the step's end, planned anew for another target or a deviation."""
         if state.goal is None:
-            state = state._replace(goal=float(x[0]), reference=self._from_estimate(None, x))
+            state.goal, state.reference = float(x[0]), self._from_estimate(None, x)
         else:
-            reference = one.plan_Ad.dot(state.reference) + one.plan_Bd[:, 0] * state.reference_a
-            state = state._replace(reference=reference)
+            state.reference = one.plan_Ad.dot(state.reference) + one.plan_Bd * state.reference_a
         since = state.time - state.begun
         if target != state.goal and (not state.move.a or since >= HASTE * self.model.period):
-            state = state._replace(anew=0)
+            state.anew = 0
             before = state.reference_a if state.move.a else state.a
             try:
-                return self._planned(state, state.reference, before, h, target)
+                self._plan(state, state.reference, before, h, target)
             except plan.NoPlan as error:
                 raise BadValue("target.x", target, f"one that a plan reaches: {error}") from None
+            return
         if self._beside(x, state.reference) <= self.deviation:
-            return state._replace(anew=0) if state.anew and since >= state.move.end else state
+            if since >= state.move.end:
+                state.anew = 0
+            return
         if since < PAUSE * self.model.period * 2.0**state.anew:
-            return state
-        state = state._replace(anew=min(state.anew + 1, MOST_ANEW))
-        try:
+            return
+        state.anew = min(state.anew + 1, MOST_ANEW)
+        with contextlib.suppress(plan.NoPlan):
             anew = self._from_estimate(state.reference, x)
-            return self._planned(state, anew, state.a, h, state.goal or 0.0)
-        except plan.NoPlan:
-            return state
+            self._plan(state, anew, state.a, h, state.goal)
 
     def _from_estimate(self, reference: Array | None, x: Array) -> Array:
         """A plan's state from an estimate; modes beyond MOVED as the plan has them."""
@@ -417,30 +423,33 @@ class AntiSway(ControlPart):
         off_by_rate = (v / omega for v, omega in zip(off[1::2], self._moved_omega, strict=True))
         return sum(map(hypot, off[::2], off_by_rate))
 
-    def _planned(self, state: Drive, reference: Array, a: float, h: float, target: float) -> Drive:
-        """A new plan from a state of trolley and modes and a commanded acceleration."""
+    def _plan(self, state: Drive, reference: Array, a: float, h: float, target: float) -> None:
+        """A new plan from a state of trolley and modes and a commanded acceleration.
+
+        Raises plan.NoPlan, the state as it was.
+        """
         x = reference.copy()
         x[0] -= target
         margins = plan.Margins(spare=self.settings.spare)
         start = plan.Start(x, a)
         limits = self.settings.limits
-        move = plan.plan(self.model, start, limits, self.tolerance, margins, h)
-        return state._replace(
-            goal=target, begun=state.time, move=move, reference=reference, reference_a=a
-        )
+        state.move = plan.plan(self.model, start, limits, self.tolerance, margins, h)
+        state.goal, state.begun = target, state.time
+        state.reference, state.reference_a = reference, a
 
     # --- open loop ----------------------------------------------------------------------------
 
-    def _moving(self, state: Drive, h: float, x: float, target: float) -> Drive:
+    def _start_move(self, state: Drive, h: float, x: float, target: float) -> None:
         """Begin an open-loop move where the last one has ended and the target is another."""
-        goal = x if state.goal is None else state.goal
-        if state.time - state.begun < state.move.end or target == goal:
-            return state._replace(goal=goal)
+        if state.goal is None:
+            state.goal = x
+        if state.time - state.begun < state.move.end or target == state.goal:
+            return
         try:
-            move = self._open_move(target - goal, h)
+            state.move = self._open_move(target - state.goal, h)
         except plan.NoPlan as error:
             raise BadValue("target.x", target, f"one that a plan reaches: {error}") from None
-        return state._replace(goal=target, begun=state.time, move=move)
+        state.goal, state.begun = target, state.time
 
     def _open_move(self, distance: float, h: float) -> Move:
         limits, omega = self.settings.limits, self.string.modes.omega.tolist()

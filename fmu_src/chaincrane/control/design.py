@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,19 @@ SHOWN_MODES = 4
 _LENGTHS = 256  # of steps, whose keys are kept
 
 
+Own = TypeVar("Own", bound="Carried")
+
+
+class Carried:
+    """What a part carries from step to step: a step changes a copy, which takes its place."""
+
+    def copy(self: Own) -> Own:
+        """A copy of what is carried; what it refers to is never changed in place."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
+
+
 class ControlPart(WholeSteps):
     """What observer and controller have alike: they are run step by step, like a crane.
 
@@ -30,11 +43,11 @@ class ControlPart(WholeSteps):
     """
 
     start_time = 0.0  # s, the host's
-    _state: Any  # a named tuple: all that is carried from step to step
+    _state: Any  # Carried
 
     def save(self) -> bytes:
         """The whole state, bit for bit (a float's repr is exact); the settings are not in it."""
-        return json.dumps(self._state._asdict(), default=_plain).encode()
+        return json.dumps(vars(self._state), default=_plain).encode()
 
     def notice(self) -> str | None:
         """Nothing: what a part does is told by its outputs."""

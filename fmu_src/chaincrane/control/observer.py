@@ -45,6 +45,7 @@ from .design import (
     INPUTS_AT,
     MAX_MODES,
     SHOWN_MODES,
+    Carried,
     ControlPart,
     check_design,
     design_string,
@@ -72,14 +73,33 @@ DEVIATIONS = (
     "std.rope.bias_found",
 )
 SHORTEST = 1e-3  # of sample_time: samples nearer than that share their gain
-# What is seen of the state: places of the rows of its matrix.
-CHAIN_X = tuple(f"chain.x[{i}]" for i in range(1, MATERIAL_POINTS + 1))  # the first rows, relative
+# What is seen of the state: places of the rows of its matrix, material points the first.
 PAYLOAD, MIDDLE, TOP = MATERIAL_POINTS - 1, MATERIAL_POINTS, MATERIAL_POINTS + 1
 SHARES = slice(TOP + 1, TOP + 1 + SHOWN_MODES)
 RATE = SHARES.stop  # of the payload
 RATE_SHARES = slice(RATE + 1, RATE + 1 + SHOWN_MODES)
-MODE_X = tuple(f"mode.x_rel[{i}]" for i in range(1, SHOWN_MODES + 1))
-MODE_VX = tuple(f"mode.vx_rel[{i}]" for i in range(1, SHOWN_MODES + 1))
+OUTPUTS = (
+    "trolley.x",
+    "trolley.v",
+    "payload.x",
+    "payload.vx",
+    "payload.x_rel",
+    "payload.vx_rel",
+    "payload.sway_angle",
+    "chain.mid_x_rel",
+    "chain.top_angle",
+    *(f"chain.x[{i}]" for i in range(1, MATERIAL_POINTS + 1)),
+    *(f"mode.x_rel[{i}]" for i in range(1, SHOWN_MODES + 1)),
+    *(f"mode.vx_rel[{i}]" for i in range(1, SHOWN_MODES + 1)),
+    "wind.fx",
+    "camera.innovation",
+    "rope.innovation",
+    "camera.bias_found",
+    "rope.bias_found",
+    *DEVIATIONS,
+    "sensor.samples",
+    "sensor.left_out",
+)
 _CACHED = 256  # designs and covariances kept, for hosts that vary their step
 _STEPS = 32  # lengths of step whose exact steps are kept
 
@@ -224,8 +244,9 @@ class Sample(NamedTuple):
     value: float  # as the sensor says
 
 
-class Estimate(NamedTuple):
-    """All that the observer carries from step to step; a tuple, of which a changed copy is cheap.
+@dataclass
+class Estimate(Carried):
+    """All that the observer carries from step to step.
 
     An offset is what a sample shows of wind or bias at rest, m or 1 (a slope).
     """
@@ -233,7 +254,7 @@ class Estimate(NamedTuple):
     base: Array  # z, a row of each filter, corrected by all samples heard of, at the last's instant
     now: Array  # the base, predicted to the time reached
     time: float = 0.0  # s
-    trolley: Trolley = Trolley()
+    trolley: Trolley = field(default_factory=Trolley)
     a: float = 0.0  # m/s2, of the trolley now
     steps: int = 0
     base_step: int = 0  # communication steps done at the base
@@ -271,7 +292,7 @@ class CraneObserver(ControlPart):
         self.settings = one = settings or ObserverSettings()
         one.check()
         self.string = design_string(one.crane, one.model, one.elements, one.modes, one.mass_matrix)
-        camera = one.sensor == "camera"
+        self._camera = camera = one.sensor == "camera"
         self.clock = one.clock
         self.sensor = Sensor(one.clock, one.camera if camera else one.rope)
         by_force = self.string.end_by_force if camera else self.string.slope_by_force
@@ -375,31 +396,30 @@ class CraneObserver(ControlPart):
         """
         check_rows(told)
         check_step_size(h)
-        state, at_start = self._state, self.settings.inputs_at == "start"
-        seen = told.camera_x_rel if self.settings.sensor == "camera" else told.rope_top_angle
+        state, at_start = self._state.copy(), self.settings.inputs_at == "start"
+        seen = told.camera_x_rel if self._camera else told.rope_top_angle
         if at_start:
-            state = self._corrected(self._sampled(state, seen))
-        state = self._driven(state, h, told)
+            self._sample(state, seen)
+            self._correct(state)
+        self._drive(state, h, told)
         if not at_start:
-            state = self._sampled(state, seen)
-        self._state = self._corrected(state)
+            self._sample(state, seen)
+        self._correct(state)
+        self._state = state
 
-    def _driven(self, state: Estimate, h: float, told: ObserverInput) -> Estimate:
+    def _drive(self, state: Estimate, h: float, told: ObserverInput) -> None:
         """Trolley and string ``h`` s later. Raises BadValue where they do not stay finite."""
         a, a_end = followed(state.a, told.trolley_a_cmd, h, self.settings.lag)
         command = Command(trolley_v_cmd=told.trolley_v_cmd, trolley_a_cmd=a)
         trolley = checked_after(state.trolley, h, command)
         v = state.trolley.commanded(command)
         segment = Segment(h, v - state.trolley.v, v, a)
-        return state._replace(
-            now=self._moved(state.now, segment),
-            time=state.time + h,
-            trolley=trolley,
-            a=a_end,
-            pull=self._pull_after(segment),
-            steps=state.steps + 1,
-            since=(*state.since, segment),
-        )
+        state.now = self._moved(state.now, segment)
+        state.time += h
+        state.trolley, state.a = trolley, a_end
+        state.pull = self._pull_after(segment)
+        state.steps += 1
+        state.since = (*state.since, segment)
 
     def _moved(self, z: Array, segment: Segment) -> Array:
         """Each filter's z after a segment, exactly: Phi z + Gamma (dv, v, a)."""
@@ -436,30 +456,26 @@ class CraneObserver(ControlPart):
             z = self._moved(z, segment)
         return z
 
-    def _sampled(self, state: Estimate, seen: float) -> Estimate:
+    def _sample(self, state: Estimate, seen: float) -> None:
         """Take a sample, if the sensor's clock has ticked."""
         tick = self.sensor.due(state.time, state.tick)
         if tick is None:
-            return state
+            return
         sample = Sample(state.steps, state.time, self.sensor.reading(seen, state.taken))
-        coming = (*state.coming, sample)
-        return state._replace(coming=coming, tick=tick + 1, taken=state.taken + 1)
+        state.coming = (*state.coming, sample)
+        state.tick = tick + 1
+        state.taken += 1
 
-    def _corrected(self, state: Estimate) -> Estimate:
+    def _correct(self, state: Estimate) -> None:
         """Correct by the samples that have arrived, and predict from there to the time reached."""
         while state.coming and self.sensor.heard(state.coming[0].time, state.time):
-            sample, coming = state.coming[0], state.coming[1:]
-            if self.settings.sensor == "rope" and not abs(sample.value) < 0.5 * pi:
-                state = state._replace(coming=coming)  # beyond the horizontal: no slope
-            else:
-                state = self._judged(state, sample, coming)
-        return state
+            sample, *coming = state.coming
+            state.coming = tuple(coming)
+            if self._camera or abs(sample.value) < 0.5 * pi:  # a rope beyond it has no slope
+                self._judge(state, sample)
 
-    def _judged(self, state: Estimate, sample: Sample, coming: tuple[Sample, ...]) -> Estimate:
-        """The base moved to the sample's instant, and corrected unless the gate leaves it out.
-
-        ``coming``: the samples after it.
-        """
+    def _judge(self, state: Estimate, sample: Sample) -> None:
+        """The base moved to the sample's instant, and corrected unless the gate leaves it out."""
         passed = sample.step - state.base_step
         segments, since = state.since[:passed], state.since[passed:]
         interval = self.clock.sample_time
@@ -467,38 +483,32 @@ class CraneObserver(ControlPart):
             interval = _lasted(segments, state.base_time, sample.time)
         found = self.filters_for(interval)
         base = self._moved_on(state.base, segments) if since else state.now
-        pull = self._pull_after(segments[-1]) if segments else state.base_pull
-        expected = base.dot(self.watched.c) + self._shown_pulled * pull  # m or 1 (a slope)
+        if segments:
+            state.base_pull = self._pull_after(segments[-1])
+        expected = base.dot(self.watched.c) + self._shown_pulled * state.base_pull  # m or 1 (slope)
         off = [self._off(sample.value, one) for one in expected.tolist()]
-        shown = off[0][0]
-        state = state._replace(
-            base=base,
-            base_step=sample.step,
-            base_time=sample.time,
-            base_pull=pull,
-            since=since,
-            coming=coming,
-            innovation=shown,
-        )
+        state.base, state.base_step, state.base_time = base, sample.step, sample.time
+        state.since = since
+        state.innovation = off[0][0]
         gate = self.settings.gate * found.fed_back.surprise  # of the one that believes in a push
         doubtful = gate > 0.0 and abs(off[-1][0]) > gate
         shut = sample.time - state.surprised >= self._half_period
         if doubtful and shut and state.doubted < PATIENCE:
-            return state._replace(left_out=state.left_out + 1, doubted=state.doubted + 1)
-        base = base + found.gains * np.array([[by] for _, by in off])
-        return state._replace(
-            base=base,
-            now=self._moved_on(base, since),
-            used=state.used + 1,
-            interval=found.estimate.interval,
-            believed=sample.time,
-            doubted=0,
-            surprised=sample.time if doubtful else state.surprised,
-        )
+            state.left_out += 1
+            state.doubted += 1
+            return
+        state.base = base + found.gains * np.array([[by] for _, by in off])
+        state.now = self._moved_on(state.base, since)
+        state.used += 1
+        state.interval = found.estimate.interval
+        state.believed = sample.time
+        state.doubted = 0
+        if doubtful:
+            state.surprised = sample.time
 
     def _off(self, value: float, expected: float) -> tuple[float, float]:
         """A sample less what was expected: as the sensor says, and of what ``expected`` is of."""
-        if self.settings.sensor == "camera":
+        if self._camera:
             return value - expected, value - expected
         shown = value - atan(expected)
         slope = min(abs(expected), STEEP)
@@ -534,40 +544,44 @@ class CraneObserver(ControlPart):
         roots = np.sqrt(np.maximum(variances, 0.0)).tolist()
         offset, steady = (sqrt(max(float(P[-1, -1]), 0.0)) for P in (estimate, fed_back))
         bias = offset if self.settings.offset == "bias" else 0.0
-        camera = self.settings.sensor == "camera"
-        return [*roots, self._wind(steady), bias * camera, bias * (not camera)]
+        return [*roots, self._wind(steady), bias * self._camera, bias * (not self._camera)]
 
     def outputs(self) -> dict[str, float]:
         """All outputs by their FMU names, in SI units, in the interface's order."""
-        state, trolley = self._state, self._state.trolley
-        sights = (state.now.dot(self._seen.T) + self._pulled * state.pull).tolist()
+        return dict(zip(OUTPUTS, self.output_values(), strict=True))
+
+    def output_values(self) -> list[float]:
+        """All outputs, of OUTPUTS, in SI units."""
+        state, trolley, now = self._state, self._state.trolley, self._state.now
+        sights = (now.dot(self._seen.T) + self._pulled * state.pull).tolist()
         seen, fed_back = sights[0], sights[-1]
         x_rel, vx_rel = seen[PAYLOAD], seen[RATE]
-        values: dict[str, float] = {
-            "trolley.x": trolley.x,
-            "trolley.v": trolley.v,
-            "payload.x": trolley.x + x_rel,
-            "payload.vx": trolley.v + vx_rel,
-            "payload.x_rel": x_rel,
-            "payload.vx_rel": vx_rel,
-            "payload.sway_angle": atan2(x_rel, self.string.depth),
-            "chain.mid_x_rel": seen[MIDDLE],
-            "chain.top_angle": atan(seen[TOP]),
-        }
-        values |= zip(CHAIN_X, [trolley.x + x for x in seen[:MATERIAL_POINTS]], strict=True)
-        values |= zip(MODE_X, fed_back[SHARES], strict=True)
-        values |= zip(MODE_VX, fed_back[RATE_SHARES], strict=True)
-        values["wind.fx"] = self._wind(self._offset(state.now[-1]))
-        camera = self.settings.sensor == "camera"
-        values["camera.innovation"] = state.innovation if camera else 0.0
-        values["rope.innovation"] = 0.0 if camera else state.innovation
-        bias = self._bias(self._offset(state.now[0]))
-        values["camera.bias_found"] = bias if camera else 0.0
-        values["rope.bias_found"] = 0.0 if camera else bias
-        values |= zip(DEVIATIONS, self.deviations(), strict=True)
-        values["sensor.samples"] = state.used
-        values["sensor.left_out"] = state.left_out
-        return values
+        bias = self._bias(self._offset(now[0]))
+        of_camera, of_rope = (state.innovation, bias), (0.0, 0.0)
+        if not self._camera:
+            of_camera, of_rope = of_rope, of_camera
+        return [
+            trolley.x,
+            trolley.v,
+            trolley.x + x_rel,
+            trolley.v + vx_rel,
+            x_rel,
+            vx_rel,
+            atan2(x_rel, self.string.depth),
+            seen[MIDDLE],
+            atan(seen[TOP]),
+            *[trolley.x + x for x in seen[:MATERIAL_POINTS]],
+            *fed_back[SHARES],
+            *fed_back[RATE_SHARES],
+            self._wind(self._offset(now[-1])),
+            of_camera[0],
+            of_rope[0],
+            of_camera[1],
+            of_rope[1],
+            *self.deviations(),
+            state.used,
+            state.left_out,
+        ]
 
     def load(self, state: bytes) -> None:
         """Restore what :meth:`save` gave, in an observer with the same settings.

@@ -121,7 +121,7 @@ def closed_loop(control: AntiSway, watch: CraneObserver, string: StringModes, h:
         own = control.string
         told[q, size - 2] -= own.end[mode] ** 2 / own.modes.omega[mode] ** 2 * wind
     ahead = one.Ad @ told
-    ahead[:, a] += one.Bd[:, 0]
+    ahead[:, a] += one.Bd
     loop[a] = -h * one.K[:-1] @ ahead
     loop[a, a] += 1.0 - h * one.K[-1]
     return loop
