@@ -98,6 +98,40 @@ def test_the_regulator_is_stable_and_optimal(modes: int, lag: float) -> None:
             assert cost(other) > best
 
 
+@pytest.mark.parametrize("method", ["planned", "lqr"])
+@pytest.mark.parametrize("lag", [0.0, 0.05])
+def test_inputs_of_a_steps_start_and_of_its_end_ask_for_the_same(lag: float, method: str) -> None:
+    """On the controller's own linear crane: what it predicts of the step is what then happens."""
+    h, wind = 0.01, 0.05
+    early, late = (
+        AntiSway(AntiSwaySettings(lag=lag, method=method, inputs_at=inputs_at))
+        for inputs_at in ("start", "end")
+    )
+    one, held = early.design(h), wind * early.held_by_wind
+    x, a = np.zeros(len(one.Ad)), 0.0
+
+    def told(x: np.ndarray) -> AntiSwayInput:
+        """What an estimate would say; its last number, where the drive lags, is not told."""
+        shares = {
+            f"mode_{kind}_{mode + 1}": float(x[2 + 2 * mode + rate])
+            for mode in range(early.modes)
+            for rate, kind in enumerate(("x_rel", "vx_rel"))
+        }
+        where = {"trolley_x": float(x[0]), "trolley_v": float(x[1])}
+        return AntiSwayInput(target_x=0.2, wind_fx=wind, **where, **shares)
+
+    commands = []
+    for _ in range(400):
+        after = one.Ad @ (x - held) + held + one.Bd * a
+        early.step(h, told(x))
+        late.step(h, told(after))
+        x, a = after, early.outputs()["trolley.a_cmd"]
+        commands.append((a, late.outputs()["trolley.a_cmd"]))
+    first, second = np.array(commands).T
+    assert np.abs(first).max() > 0.1
+    np.testing.assert_allclose(second, first, atol=1e-10)  # round-off of some hundred steps
+
+
 def followed(move: Move) -> tuple[list[float], float]:
     """Velocities at a move's instants, from rest, and the way."""
     speeds = [0.0]

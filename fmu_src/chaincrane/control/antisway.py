@@ -219,6 +219,7 @@ class Designed:
     Ad: Array  # of the trolley and the modes that are fed back
     Bd: Array
     K: Array
+    ahead: Array  # their state at the step's end, without wind, by [what is told; wind; a]
     plan_Ad: Array  # of the trolley and the modes that are planned
     plan_Bd: Array
 
@@ -260,7 +261,7 @@ class AntiSway(ControlPart):
         self.weights, self.tolerance, self.deviation = self._sizes()
         self._moved_omega = self.string.modes.omega[: min(MOVED, self.modes)].tolist()
         self._told_state = _told_state(self.modes)
-        self._held_by_wind = self._steady()
+        self.held_by_wind = self._steady()
         self.warning: str | None = None  # what a user should be told of this design
         self._designs: dict[float, Designed] = {}
         self._state: Drive = Drive()
@@ -311,7 +312,8 @@ class AntiSway(ControlPart):
                 self._designs.clear()
             Ad, Bd = discretised(A, B, key)
             plan_Ad, plan_Bd = discretised(self.model.A, self.model.B, key)
-            self._designs[key] = Designed(Ad, Bd[:, 0], K, plan_Ad, plan_Bd[:, 0])
+            Bd, plan_Bd = Bd[:, 0], plan_Bd[:, 0]
+            self._designs[key] = Designed(Ad, Bd, K, self._ahead(Ad, Bd), plan_Ad, plan_Bd)
         return self._designs[key]
 
     def step(self, h: float, told: AntiSwayInput) -> None:
@@ -340,7 +342,7 @@ class AntiSway(ControlPart):
     def _regulated(self, state: Drive, h: float, told: AntiSwayInput) -> float:
         """Acceleration, m/s2: that of the reference at this step's end, and the regulator's."""
         one = self.design(h)
-        x = self._predicted(one, told)
+        x = self._predicted(one, told, state.follows)
         if self.settings.method == "lqr":
             far = CRUISE * self.settings.limits.velocity * one.K[1] / one.K[0]
             x[0] = min(max(x[0] - told.target_x, -far), far)
@@ -363,16 +365,22 @@ class AntiSway(ControlPart):
         held[2 : 2 + 2 * modes : 2] = string.end[:modes] ** 2 / string.modes.omega[:modes] ** 2
         return held
 
-    def _predicted(self, one: Designed, told: AntiSwayInput) -> Array:
-        """Trolley and fed back modes at the end of the step, less where a wind holds them."""
-        before, lag = self._state, self.settings.lag
-        follows = (before.follows,) if lag else ()
-        x: Array = np.array((*self._told_state(told), *follows))
-        x -= told.wind_fx * self._held_by_wind
-        if self.settings.inputs_at == "start":
-            x = one.Ad.dot(x) + one.Bd * before.a
-        elif lag:
-            x[-1] = followed(before.follows, before.a, 1.0, lag)[1]
+    def _ahead(self, Ad: Array, Bd: Array) -> Array:
+        """What :meth:`_predicted` multiplies: inputs of the step's start move on to its end."""
+        told = np.column_stack((np.eye(len(Ad)), -self.held_by_wind))
+        if self.settings.inputs_at == "end":
+            return np.column_stack((told, np.zeros(len(Ad))))
+        return np.column_stack((Ad @ told, Bd))
+
+    def _predicted(self, one: Designed, told: AntiSwayInput, follows: float) -> Array:
+        """Trolley and fed back modes at the end of the step, less where a wind holds them.
+
+        ``follows``: acceleration of a trolley that lags, then, m/s2.
+        """
+        before, at_start = self._state, self.settings.inputs_at == "start"
+        lagging = (before.follows if at_start else follows,) if self.settings.lag else ()
+        seen = np.array((*self._told_state(told), *lagging, told.wind_fx, before.a))
+        x: Array = one.ahead.dot(seen)
         return x
 
     def _fed_back(self, reference: Array) -> Array:
