@@ -43,6 +43,8 @@ SPREAD = 0.05  # of each frequency: a length wrong by a tenth
 JERK_WEIGHT = 0.02  # of a jerk of A omega_1 beside a sway of A/omega_1^2
 AT_REST = 1e-9  # of A/omega_1^2 and its rates: as good as at rest
 TIGHT = 0.05  # of the distance: what the tolerance is at most
+# Of HiGHS: a presolve takes longer than it saves, and so do the weights that it would choose.
+_SOLVER = {"presolve": False, "simplex_dual_edge_weight_strategy": "devex"}
 _DIGITS = 9  # of a start's units: below, hosts' clocks differ
 _KEPT = 64  # moves from rest, of all cranes of a process
 
@@ -351,7 +353,7 @@ class _Program:
             b_eq=np.concatenate(equal_to),
             bounds=bounds,
             method="highs",
-            options={"presolve": smooth},  # it takes longer than it saves where any point will do
+            options=_SOLVER,
         )
         return found.x[:M] if found.status == 0 else None
 
