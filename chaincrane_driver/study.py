@@ -48,8 +48,12 @@ class Case:
     size: float = LENGTH  # m of chain
 
     def loop(self, fmus: Path) -> Loop:
-        """The FMUs to run."""
-        return self.setup.loop(fmus)
+        """The FMUs to run: an observer where it is fed back, none beside a move in open loop."""
+        loop = self.setup.loop(fmus)
+        if self.setup.method in FED_BACK:
+            return loop
+        parts = {part: file for part, file in loop.fmus.items() if part != OBSERVER}
+        return replace(loop, fmus=parts)
 
 
 def _told(setup: Setup, plant: dict[str, Any], seed: int, believed: dict[str, Any]) -> Setup:
@@ -151,8 +155,8 @@ class Measured:
     settling: float  # s; nan: it does not settle
     residual: float  # m, largest sway in the last 5 s of 12
     peak: float  # m
-    estimate: float  # m, RMS error of payload.x_rel
-    middle: float  # m, RMS error of chain.mid_x_rel
+    estimate: float  # m, RMS error of payload.x_rel; nan: no observer
+    middle: float  # m, RMS error of chain.mid_x_rel; nan: no observer
     velocity: float  # m/s, largest
     acceleration: float  # m/s2, largest
     minutes: tuple[float, float]  # m, largest sway in the second minute and in the last
@@ -168,12 +172,13 @@ def measured(case: Case, table: Table) -> Measured:
         case.setup.stop_time, 12.0 * sqrt(case.size / LENGTH)
     )
     second = (time >= 60.0) & (time < 120.0)
+    watched = case.setup.method in FED_BACK
     return Measured(
         settling=float("nan") if last == len(time) - 1 else float(time[last + 1]),
         residual=float(sway[late].max()),
         peak=float(sway.max()),
-        estimate=estimation_error(table, "payload.x_rel"),
-        middle=estimation_error(table, "chain.mid_x_rel"),
+        estimate=estimation_error(table, "payload.x_rel") if watched else float("nan"),
+        middle=estimation_error(table, "chain.mid_x_rel") if watched else float("nan"),
         velocity=float(np.abs(table[column(CRANE, "trolley.v")]).max()),
         acceleration=float(np.abs(table[column(ANTISWAY, "trolley.a_cmd")]).max()),
         minutes=(
