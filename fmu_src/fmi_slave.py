@@ -13,6 +13,7 @@ import ctypes
 import json
 import os
 import sys
+from collections.abc import Sequence
 from hashlib import sha256
 from math import inf, isfinite, nan
 from typing import Any, Protocol
@@ -49,10 +50,11 @@ class Model(Protocol):
 
     start_time: float  # s, the host's; only for messages
 
-    def advance(self, h: float, told: Any) -> list[Any]:
+    def advance(self, h: float, told: Any) -> Sequence[Any]:
         """Advance by ``h`` s under the slave's ``inputs``; the outputs then, all finite.
 
-        Raises CraneError, the model as it was, where that cannot be had.
+        They may be a view, which the next step changes. Raises CraneError, the model as it was,
+        where that cannot be had.
         """
 
     def notice(self) -> str | None:
@@ -97,11 +99,13 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             for kind in ("Real", "Integer", "String", "Boolean")
         }
         self._real_inputs = self._of_kind["Real"].intersection(self._inputs)
+        self._real_outputs = self._of_kind["Real"].intersection(outputs)
         self._no_outputs = [
             nan if variable.kind == "Real" else 0
             for variable in self.variables[self._first_output :]
         ]
-        self._values = [variable.start for variable in self.variables]
+        self._values = [variable.start for variable in self.variables[: self._first_output]]
+        self._seen: Sequence[Any] = self._no_outputs  # the outputs, if they are observed
         units = [place for place, variable in places if variable.name == self.step_unit]
         self._step_unit = units[0] if units else None
         self._command: Any = None  # the inputs as the model takes them; None: they were set anew
@@ -196,7 +200,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         if self._step_unit is not None:
             unit: Any = self._values[self._step_unit]
             meant = clock.meant_step(current_time, step_size, unit)
-        self._values[self._first_output :] = self._model.advance(meant, self._command)
+        self._seen = self._model.advance(meant, self._command)
         self._observed = True
         self._time = end
         self._say_notice()
@@ -206,8 +210,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         seen = model.output_values()
         names = [variable.name for variable in self.variables[self._first_output :]]
         check_finite(dict(zip(names, seen, strict=True)), allowed)
-        self._values[self._first_output :] = seen
-        self._observed = True
+        self._seen, self._observed = seen, True
 
     def _say_notice(self) -> None:
         """Log what a user should be told of the model, once."""
@@ -234,6 +237,9 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
 
     def get_real(self, vrs: list[int]) -> list[float]:
         """Values of Real variables by value reference."""
+        if self._observed and self._real_outputs.issuperset(vrs):  # at every step
+            seen, first = self._seen, self._first_output
+            return [seen[vr - first] for vr in vrs]
         return self._get("Real", vrs, nan)
 
     def get_integer(self, vrs: list[int]) -> list[int]:
@@ -271,8 +277,8 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             return [missing] * len(vrs)
         if not self._observed:
             self._observe()
-        values = self._values
-        return [values[vr] for vr in vrs]
+        values, seen, first = self._values, self._seen, self._first_output
+        return [values[vr] if vr < first else seen[vr - first] for vr in vrs]
 
     def _set(self, kind: str, vrs: list[int], values: list[Any]) -> None:
         if kind == "Real" and self._real_inputs.issuperset(vrs):  # at every step
@@ -311,8 +317,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             except Exception as error:
                 self._fail(error)
         if not self._observed:
-            self._values[self._first_output :] = self._no_outputs
-            self._observed = True
+            self._seen, self._observed = self._no_outputs, True
 
     # --- errors -------------------------------------------------------------------------------
 
@@ -358,7 +363,7 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             "tolerance": self.tolerance,
             "fault": self._fault,
             "refusal": self._refusal,
-            "values": self._values[: self._first_output],
+            "values": self._values,
         }
         try:
             model = b"" if self._model is None else self._model.save()
@@ -391,12 +396,12 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
                 f" this is {self.modelName}, sources {SOURCES}"
             )
         first_parameter = len(self._inputs)
-        parameters = self._values[first_parameter : self._first_output]
+        parameters = self._values[first_parameter:]
         same = (parameters, self.tolerance) == (
             head["values"][first_parameter:],
             head["tolerance"],
         )
-        self._values[: self._first_output] = head["values"]
+        self._values[:] = head["values"]
         self._phase, self._start, self._time = head["phase"], head["start"], head["time"]
         self.tolerance = head["tolerance"]
         self._command = None

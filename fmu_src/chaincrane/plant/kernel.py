@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from enum import IntEnum
 from hashlib import sha256
@@ -181,6 +181,10 @@ class NativeCrane:
 
     def step(self, h: float, command: Command = IDLE) -> None:
         """Advance by ``h`` seconds under a held command, as :meth:`CraneModel.step` does."""
+        self.advance(h, command)
+
+    def advance(self, h: float, command: Command = IDLE) -> Sequence[float]:
+        """As :meth:`step`; a view of the outputs, all finite, which the next step changes."""
         try:
             if command is not self._held:
                 for name in _COMMAND_FIELDS:
@@ -192,12 +196,8 @@ class NativeCrane:
             outcome = Outcome.BAD_VALUE
         if outcome:
             self._raise(outcome, h, command)
-
-    def advance(self, h: float, command: Command = IDLE) -> list[float]:
-        """As :meth:`step`; the outputs then, all finite."""
-        self.step(h, command)
-        values: list[float] = self._seen.tolist()
-        return values
+        seen: Sequence[float] = self._seen
+        return seen
 
     def _raise(self, outcome: int, h: float, command: Command) -> None:
         if outcome == Outcome.BAD_VALUE:
