@@ -53,7 +53,7 @@ class Model(Protocol):
     def advance(self, h: float, told: Any) -> Sequence[Any]:
         """Advance by ``h`` s under the slave's ``inputs``; the outputs then, all finite.
 
-        They may be a view, which the next step changes. Raises CraneError, the model as it was,
+        They may be a view, of what is now at any time. Raises CraneError, the model as it was,
         where that cannot be had.
         """
 

@@ -59,6 +59,11 @@ def follow(watch: CraneObserver, crane: LinearCrane, h: float, command: Command 
 # --- equations ---------------------------------------------------------------------------------
 
 
+def test_outputs_are_those_of_the_interface_in_its_order() -> None:
+    """The FMU goes by their places."""
+    assert list(CraneObserver().outputs()) == [row.name for row in observer_interface.OUTPUTS]
+
+
 @pytest.mark.parametrize("air", [0.0, 0.7])
 def test_the_filters_matrices_are_the_state_spaces_exponential(air: float) -> None:
     crane, n, t = replace(LIGHT, damping=Damping(air)), 3, 0.037

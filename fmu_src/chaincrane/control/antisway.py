@@ -219,7 +219,9 @@ class Designed:
     Ad: Array  # of the trolley and the modes that are fed back
     Bd: Array
     K: Array
-    ahead: Array  # their state at the step's end, without wind, by [what is told; wind; a]
+    # Their state at the step's end, less what wind does, by [what is told; with a lag the trolley's
+    # acceleration; wind; a].
+    ahead: Array
     plan_Ad: Array  # of the trolley and the modes that are planned
     plan_Bd: Array
 
@@ -330,7 +332,7 @@ class AntiSway(ControlPart):
         state.time += h
         state.v = start_v + h * state.a
         if self.settings.method in FEEDBACK:
-            wanted = self._regulated(state, h, told)
+            wanted = self._regulate(state, h, told)
         else:
             self._start_move(state, h, told.trolley_x, told.target_x)
             wanted = state.move.mean(state.time - state.begun, h)
@@ -339,8 +341,8 @@ class AntiSway(ControlPart):
 
     # --- in closed loop -----------------------------------------------------------------------
 
-    def _regulated(self, state: Drive, h: float, told: AntiSwayInput) -> float:
-        """Acceleration, m/s2: that of the reference at this step's end, and the regulator's."""
+    def _regulate(self, state: Drive, h: float, told: AntiSwayInput) -> float:
+        """Move the reference on; its acceleration and what the regulator adds to it, m/s2."""
         one = self.design(h)
         x = self._predicted(one, told, state.follows)
         if self.settings.method == "lqr":
@@ -389,7 +391,7 @@ class AntiSway(ControlPart):
         return np.append(kept, reference[-1]) if self.settings.lag else kept
 
     def _refer(self, state: Drive, one: Designed, x: Array, h: float, target: float) -> None:
-        """The reference at the step's end, planned anew for another target or a deviation."""
+        """Move the reference to the step's end; plan anew for another target or a deviation."""
         if state.goal is None:
             state.goal, state.reference = float(x[0]), self._from_estimate(None, x)
         else:

@@ -408,7 +408,7 @@ class CraneObserver(ControlPart):
         self._state = state
 
     def _drive(self, state: Estimate, h: float, told: ObserverInput) -> None:
-        """Trolley and string ``h`` s later. Raises BadValue where they do not stay finite."""
+        """Move trolley and string on by ``h`` s. Raises BadValue if they do not stay finite."""
         a, a_end = followed(state.a, told.trolley_a_cmd, h, self.settings.lag)
         command = Command(trolley_v_cmd=told.trolley_v_cmd, trolley_a_cmd=a)
         trolley = checked_after(state.trolley, h, command)
@@ -475,7 +475,7 @@ class CraneObserver(ControlPart):
                 self._judge(state, sample)
 
     def _judge(self, state: Estimate, sample: Sample) -> None:
-        """The base moved to the sample's instant, and corrected unless the gate leaves it out."""
+        """Move the base to the sample's instant; correct it unless the gate leaves that out."""
         passed = sample.step - state.base_step
         segments, since = state.since[:passed], state.since[passed:]
         interval = self.clock.sample_time

@@ -43,8 +43,11 @@ SPREAD = 0.05  # of each frequency: a length wrong by a tenth
 JERK_WEIGHT = 0.02  # of a jerk of A omega_1 beside a sway of A/omega_1^2
 AT_REST = 1e-9  # of A/omega_1^2 and its rates: as good as at rest
 TIGHT = 0.05  # of the distance: what the tolerance is at most
-# Of HiGHS: a presolve takes longer than it saves, and so do the weights that it would choose.
-_SOLVER = {"presolve": False, "simplex_dual_edge_weight_strategy": "devex"}
+# Of HiGHS. A presolve takes longer than it saves; but where the drive lags, some programs are left
+# open without one.
+_QUICK = {"presolve": False, "simplex_dual_edge_weight_strategy": "devex"}
+_THOROUGH = _QUICK | {"presolve": True}
+_ANSWERS = (0, 2)  # linprog's status: solved, there is no solution
 _DIGITS = 9  # of a start's units: below, hosts' clocks differ
 _KEPT = 64  # moves from rest, of all cranes of a process
 
@@ -345,16 +348,16 @@ class _Program:
         bounds[0] = self._first(A, step)
         bounds[2 * M] = (0.0, self.margins.jerk)
         bounds[2 * M - 1] = (v / self.scale.v,) * 2
-        found: Any = linprog(
-            cost,
-            A_ub=sparse.csr_matrix(np.vstack(less)) if less else None,
-            b_ub=np.concatenate(less_than) if less else None,
-            A_eq=sparse.csr_matrix(np.vstack(equal)),
-            b_eq=np.concatenate(equal_to),
-            bounds=bounds,
-            method="highs",
-            options=_SOLVER,
-        )
+        program = {
+            "A_ub": sparse.csr_matrix(np.vstack(less)) if less else None,
+            "b_ub": np.concatenate(less_than) if less else None,
+            "A_eq": sparse.csr_matrix(np.vstack(equal)),
+            "b_eq": np.concatenate(equal_to),
+            "bounds": bounds,
+        }
+        found: Any = linprog(cost, **program, method="highs", options=_QUICK)
+        if found.status not in _ANSWERS:
+            found = linprog(cost, **program, method="highs", options=_THOROUGH)
         return found.x[:M] if found.status == 0 else None
 
     def _first(self, A: float, step: float) -> tuple[float, float]:

@@ -184,7 +184,7 @@ class NativeCrane:
         self.advance(h, command)
 
     def advance(self, h: float, command: Command = IDLE) -> Sequence[float]:
-        """As :meth:`step`; a view of the outputs, all finite, which the next step changes."""
+        """As :meth:`step`; a view of the outputs, all finite: it shows what is now."""
         try:
             if command is not self._held:
                 for name in _COMMAND_FIELDS:
