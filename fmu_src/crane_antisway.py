@@ -3,7 +3,8 @@
 from typing import Any
 
 from chaincrane.requirements import require
-from fmi_slave import FmiSlave, Model, mend_import
+from chaincrane.wrapper import mend
+from fmi_slave import FmiSlave, Model
 
 require("numpy", "scipy")
 from chaincrane.control import stability  # noqa: E402
@@ -27,4 +28,4 @@ class crane_antisway(FmiSlave):
         return control
 
 
-mend_import(globals())
+mend(globals())

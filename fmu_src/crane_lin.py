@@ -5,7 +5,8 @@ from typing import Any
 from chaincrane.plant.command import Command
 from chaincrane.plant.interface import VARIABLES, settings
 from chaincrane.requirements import require
-from fmi_slave import FmiSlave, Model, mend_import
+from chaincrane.wrapper import mend
+from fmi_slave import FmiSlave, Model
 
 require("numpy")
 from chaincrane.plant.linear import LinearCrane  # noqa: E402
@@ -23,4 +24,4 @@ class crane_lin(FmiSlave):
         return LinearCrane(*settings(parameters, self.tolerance))
 
 
-mend_import(globals())
+mend(globals())

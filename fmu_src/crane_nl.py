@@ -12,7 +12,8 @@ from chaincrane.plant import kernel
 from chaincrane.plant.command import Command
 from chaincrane.plant.interface import VARIABLES, settings
 from chaincrane.requirements import require
-from fmi_slave import FmiSlave, Model, mend_import
+from chaincrane.wrapper import mend
+from fmi_slave import FmiSlave, Model
 
 try:  # now, and once in a process: the folder of an FMU that is loaded later may be gone
     LIBRARY, MISSING = kernel.load_library(), ""
@@ -42,4 +43,4 @@ class crane_nl(FmiSlave):
         return nonlinear_crane(*chosen)
 
 
-mend_import(globals())
+mend(globals())

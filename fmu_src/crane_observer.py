@@ -3,7 +3,8 @@
 from typing import Any
 
 from chaincrane.requirements import require
-from fmi_slave import FmiSlave, Model, mend_import
+from chaincrane.wrapper import mend
+from fmi_slave import FmiSlave, Model
 
 require("numpy", "scipy")
 from chaincrane.control.observer import CraneObserver, ObserverInput  # noqa: E402
@@ -21,4 +22,4 @@ class crane_observer(FmiSlave):
         return CraneObserver(settings(parameters))
 
 
-mend_import(globals())
+mend(globals())

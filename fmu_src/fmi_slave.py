@@ -9,9 +9,7 @@ log line, and the next fmi2DoStep a fmi2Discard with the state unchanged:
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
-import os
 import sys
 from collections.abc import Sequence
 from hashlib import sha256
@@ -28,21 +26,6 @@ from chaincrane.variables import FINITE, Variable
 from chaincrane.whole_step import check_finite
 
 STATE_MAGIC = b"chaincrane state 1\n"
-
-
-def mend_import(namespace: dict[str, Any]) -> None:
-    """Called by a slave's module with its globals(): mends what pythonfmu does to the process.
-
-    On each instantiation the wrapper of pythonfmu 0.7.0 puts the FMU's resources on sys.path,
-    executes the slave's file in its module's namespace, and then releases that namespace, which it
-    had only borrowed. Left alone, the namespace is freed under a living module, and the host
-    crashes at a later instantiation; and sys.path grows by one entry each time.
-    """
-    ctypes.pythonapi.Py_IncRef(ctypes.py_object(namespace))
-    resources = sys.path[0] if sys.path else ""
-    ours = ("slavemodule.txt", f"{namespace['__name__']}.py")
-    if all(os.path.exists(os.path.join(resources, name)) for name in ours):
-        del sys.path[0]
 
 
 class Model(Protocol):
