@@ -101,4 +101,4 @@ def main(folder: str) -> None:
         pass  # nobody listens any more
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        os._exit(0)  # at a normal exit an FMU's own Python would be unloaded: it may crash
+        os._exit(0)  # at a normal exit the FMUs' libraries, anybody's, end too: one may crash

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -29,6 +30,12 @@ from chaincrane_builder.pack import build  # noqa: E402
 STOP_AT = 1.0  # s, when the paper's trolley stops
 SPEED = 0.8  # m/s, until then
 PAYLOADS = {"heavy": 0.42, "light": 0.07}  # kg
+
+compiler = shutil.which(os.environ.get("CC", "cc"))
+linux_host = pytest.mark.skipif(
+    not sys.platform.startswith("linux") or compiler is None,
+    reason="compiles and runs a host in C on Linux",
+)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -10,13 +10,15 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import fmpy
 import pytest
-from conftest import ROOT, in_fresh_process
+from conftest import ROOT, compiler, in_fresh_process, linux_host
 
 from chaincrane.plant.interface import OUTPUTS, VARIABLES, settings
 from chaincrane.plant.linear import LinearCrane
@@ -256,6 +258,70 @@ def test_a_thousand_instantiations(fmus: Path, model: str) -> None:
     done = in_fresh_process(_instantiations, str(fmus / f"{model}.fmu"), 1000)
     assert done["grown"] < 900 * 15_000
     assert done["paths"] == 0
+
+
+# --- the end of a process -----------------------------------------------------------------------
+
+
+def _step_in_c(fmus: Path, folder: Path, models: tuple[str, ...], leave: str) -> None:
+    """Step FMUs once in a C program that ends then; AssertionError where it does not end well."""
+    shared = Path(sysconfig.get_config_var("LIBDIR"), sysconfig.get_config_var("INSTSONAME"))
+    if not sysconfig.get_config_var("Py_ENABLE_SHARED") or not shared.exists():
+        pytest.skip("this Python has no shared library that a C program could load")
+    host, words = str(folder / "python_host"), [leave]
+    headers = Path(fmpy.__file__).parent / "c-code"
+    source = str(Path(__file__).with_name("python_host.c"))
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-D_POSIX_C_SOURCE=200809L"]
+    subprocess.run([str(compiler), *flags, "-I", headers, source, "-o", host, "-ldl"], check=True)
+    for model in models:
+        fmu = str(fmus / f"{model}.fmu")
+        extracted = fmpy.extract(fmu, str(folder / model))
+        library = f"{extracted}/binaries/linux64/{model}.so"
+        words += [extracted, library, fmpy.read_model_description(fmu).guid]
+    environment = {
+        "LD_PRELOAD": str(shared),
+        "PYTHONHOME": sys.base_prefix,
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path.endswith("-packages")),
+    }
+    done = subprocess.run(
+        [host, *words],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env=os.environ | environment,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+
+
+@linux_host
+@pytest.mark.parametrize("leave", ["running", "freed", "unloaded"])
+@pytest.mark.parametrize("models", [("crane_nl",), MODELS, EVERY[:4]], ids=len)
+def test_c_program_ends_well(
+    fmus: Path, tmp_path: Path, models: tuple[str, ...], leave: str
+) -> None:
+    """Two FMUs left running aborted it, "corrupted unsorted chunks", before we mended that."""
+    _step_in_c(fmus, tmp_path, models, leave)
+
+
+@linux
+@pytest.mark.parametrize("free", [False, True], ids=["running", "freed"])
+def test_python_script_ends_without_touching_freed_memory(fmus: Path, free: bool) -> None:
+    """It rarely aborted, "corrupted double-linked list"; valgrind sees the cause in every run."""
+    valgrind = shutil.which("valgrind")
+    if valgrind is None:
+        pytest.skip("valgrind is not installed (Debian: valgrind)")
+    fmu = str(fmus / "crane_nl.fmu")
+    script = f"from slave_host import Host; host = Host({fmu!r}); assert host.step() == 0; "
+    script += "host.slave.freeInstance(); print('done')" if free else "print('done')"
+    done = subprocess.run(
+        [valgrind, "-q", "--error-limit=no", sys.executable, "-c", script],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert (done.returncode, done.stdout) == (0, "done\n")
+    assert "finalizePythonInterpreter" not in done.stderr
 
 
 # --- errors -----------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import PAYLOADS, ROOT, in_fresh_process, paper_motion
+from conftest import PAYLOADS, ROOT, compiler, in_fresh_process, linux_host, paper_motion
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from native_speed import Bench
@@ -38,12 +38,6 @@ TWINS = {"crane_nl_native": "crane_nl", "crane_lin_native": "crane_lin"}
 NATIVE = tuple(TWINS)
 both = pytest.mark.parametrize("model", NATIVE)
 WINE = "CHAINCRANE_WINE"  # Debian's /usr/lib/wine/wine64, say
-
-compiler = shutil.which(os.environ.get("CC", "cc"))
-linux_host = pytest.mark.skipif(
-    not sys.platform.startswith("linux") or compiler is None,
-    reason="compiles and runs a host in C on Linux",
-)
 
 
 def within(name: str) -> float:
