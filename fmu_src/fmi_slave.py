@@ -265,9 +265,10 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         if not self._observed:
             self._observe()
         values, seen, first = self._values, self._seen, self._first_output
+        found = [values[vr] if vr < first else seen[vr - first] for vr in vrs]
         if len(vrs) > 1 and self._real_outputs.issuperset(vrs) and len(self._picks) < MOST_PICKS:
             self._picks[tuple(vrs)] = itemgetter(*(vr - first for vr in vrs))
-        return [values[vr] if vr < first else seen[vr - first] for vr in vrs]
+        return found
 
     def _set(self, kind: str, vrs: list[int], values: list[Any]) -> None:
         if kind == "Real" and self._real_inputs.issuperset(vrs):  # at every step

@@ -2,8 +2,8 @@
 
    python_host LEAVE FOLDER LIBRARY GUID [FOLDER LIBRARY GUID ...]
 
-   Loads each extracted FMU, takes a step, and ends, leaving it as LEAVE says: "running", "freed"
-   or "unloaded". */
+   Loads each extracted FMU, takes a step, and ends, leaving it as LEAVE says: "running", "freed",
+   "unloaded", or "freed_at_exit", by a function that C calls then. */
 
 #include <dlfcn.h>
 #include <stdarg.h>
@@ -35,6 +35,13 @@ static void say(fmi2ComponentEnvironment environment, fmi2String name, fmi2Statu
     fprintf(stderr, "%s: %d %s\n", name, (int)status, message);
 }
 
+static struct {
+    fmi2FreeInstanceTYPE *free;
+    fmi2Component component;
+} last; /* freed at exit */
+
+static void free_last(void) { last.free(last.component); }
+
 static const fmi2CallbackFunctions FUNCTIONS = {say, calloc, free, NULL, NULL};
 
 static void step_once(const char *folder, const char *path, const char *guid, const char *leave) {
@@ -49,6 +56,8 @@ static void step_once(const char *folder, const char *path, const char *guid, co
     FIND(ExitInitializationMode)
     FIND(DoStep)
     FIND(FreeInstance)
+    int at_exit = strcmp(leave, "freed_at_exit") == 0;
+    if (at_exit && !last.free) CHECK(atexit(free_last) == 0); /* before there is an instance */
     fmi2Component c =
         Instantiate("crane", fmi2CoSimulation, guid, resources, &FUNCTIONS, fmi2False, fmi2True);
     CHECK(c);
@@ -56,6 +65,12 @@ static void step_once(const char *folder, const char *path, const char *guid, co
     CHECK(EnterInitializationMode(c) == fmi2OK);
     CHECK(ExitInitializationMode(c) == fmi2OK);
     CHECK(DoStep(c, 0.0, 0.005, fmi2True) == fmi2OK);
+    if (at_exit) {
+        if (last.free) last.free(last.component);
+        last.free = FreeInstance;
+        last.component = c;
+        return;
+    }
     if (strcmp(leave, "running") != 0) FreeInstance(c);
     if (strcmp(leave, "unloaded") == 0) dlclose(library);
 }
