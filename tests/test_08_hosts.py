@@ -263,28 +263,26 @@ def test_a_thousand_instantiations(fmus: Path, model: str) -> None:
 # --- the end of a process -----------------------------------------------------------------------
 
 
-def _step_in_c(fmus: Path, folder: Path, models: tuple[str, ...], leave: str) -> None:
-    """Step FMUs once in a C program that ends then; AssertionError where it does not end well."""
+def _step_in_c(fmus: Path, folder: Path, model: str, leave: str) -> None:
+    """Step an FMU once in a C program that ends then; AssertionError where it does not end well."""
     shared = Path(sysconfig.get_config_var("LIBDIR"), sysconfig.get_config_var("INSTSONAME"))
     if not sysconfig.get_config_var("Py_ENABLE_SHARED") or not shared.exists():
         pytest.skip("sysconfig names no shared library of this Python")
-    host, words = str(folder / "python_host"), [leave]
+    host = str(folder / "python_host")
     headers = Path(fmpy.__file__).parent / "c-code"
     source = str(Path(__file__).with_name("python_host.c"))
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-D_POSIX_C_SOURCE=200809L"]
     subprocess.run([str(compiler), *flags, "-I", headers, source, "-o", host, "-ldl"], check=True)
-    for model in models:
-        fmu = str(fmus / f"{model}.fmu")
-        extracted = fmpy.extract(fmu, str(folder / model))
-        library = f"{extracted}/binaries/linux64/{model}.so"
-        words += [extracted, library, fmpy.read_model_description(fmu).guid]
+    fmu = str(fmus / f"{model}.fmu")
+    extracted = fmpy.extract(fmu, str(folder / model))
+    library = f"{extracted}/binaries/linux64/{model}.so"
     environment = {
         "LD_PRELOAD": str(shared),
         "PYTHONHOME": sys.base_prefix,
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path.endswith("-packages")),
     }
     done = subprocess.run(
-        [host, *words],
+        [host, leave, extracted, library, fmpy.read_model_description(fmu).guid],
         capture_output=True,
         text=True,
         timeout=300,
@@ -295,12 +293,9 @@ def _step_in_c(fmus: Path, folder: Path, models: tuple[str, ...], leave: str) ->
 
 @linux_host
 @pytest.mark.parametrize("leave", ["running", "freed", "unloaded", "freed_at_exit"])
-@pytest.mark.parametrize("models", [("crane_lin",), MODELS, EVERY[:4]], ids=len)
-def test_c_program_ends_well(
-    fmus: Path, tmp_path: Path, models: tuple[str, ...], leave: str
-) -> None:
-    """crane_lin.fmu alone aborted it, "corrupted unsorted chunks", before we mended that."""
-    _step_in_c(fmus, tmp_path, models, leave)
+def test_c_program_ends_well(fmus: Path, tmp_path: Path, leave: str) -> None:
+    """It aborted in each way, "corrupted unsorted chunks", before we mended that."""
+    _step_in_c(fmus, tmp_path, "crane_lin", leave)
 
 
 def _extractions(fmu: str, count: int) -> int:

@@ -8,12 +8,19 @@ import contextlib
 import ctypes
 import os
 import sys
-from typing import Any
-
-import pythonfmu
+from typing import Any, NamedTuple
 
 PYTHON_IS_THE_HOST = bool(sys.orig_argv)  # it was not started from C
-_LOADED: dict[int, bytes] = {}  # addresses of finalizePythonInterpreter -> wrappers' files
+
+
+class _Part(NamedTuple):
+    """A part of a library in memory."""
+
+    addresses: range
+    file: bytes
+
+
+_WRAPPERS: dict[_Part, int] = {}  # code of a wrapper, address of its finalizePythonInterpreter
 
 
 def mend(namespace: dict[str, Any]) -> None:
@@ -34,48 +41,40 @@ def mend(namespace: dict[str, Any]) -> None:
                 _remember_wrapper()
 
 
-# Left alone, a wrapper lets go of Python twice when its process ends. C++ destroys what it holds it
-# by; then finalizePythonInterpreter, the library's last function, counts down in the memory that
-# this has freed, and with bad luck the process aborts after all its work, "corrupted double-linked
-# list". That function called before leaves the other two nothing to do.
+# A wrapper lets go of Python twice when its process ends. C++ destroys what it holds Python by, and
+# finalizePythonInterpreter, the library's last function, then counts down in the memory that this
+# has freed: with bad luck the process aborts after all its work, "corrupted double-linked list".
+# Once we have called that function, it finds nothing to count down at the end.
 
 
 def _remember_wrapper() -> None:
-    """Find the wrapper that is calling us, for the end of Python; or let it go of Python now.
-
-    In a C program one wrapper has started Python, and only its end may end it; the others do not
-    need to hold it, and C++ may destroy them before. The first that any FMU of ours has seen in
-    this process, which all know by the package that they share, is taken for that one.
-    """
+    """Note the wrapper that is calling us; forget those that are not loaded any more."""
+    parts = _code()
     for library in dict.fromkeys(map(_file_of, _stack())):
         function = _last_function(library)
         if function is not None:
-            break
-    else:
-        return
-    file = next((file for part, file in _mapped() if function in part), b"")
-    first = vars(pythonfmu).setdefault("first_wrapper_seen", (function, file))
-    if PYTHON_IS_THE_HOST or first == (function, file):
-        _LOADED[function] = file
-    else:
-        ctypes.CFUNCTYPE(None)(function)()
+            for gone in _WRAPPERS.keys() - parts:
+                _WRAPPERS.pop(gone, None)
+            _WRAPPERS.update((part, function) for part in parts if function in part.addresses)
+            return
 
 
 @atexit.register
 def _release() -> None:
-    """Let the wrappers go of Python at its end: in a C program the one that is ending it.
+    """Let the wrappers that are loaded go of Python, at its end.
 
-    Only those that are still loaded; and the loader is not asked, as the host may be waiting in it.
+    In a Python host all of them: none has begun to end. In a C program the wrapper that has started
+    Python is ending it now, and calling us; that one alone, as C++ may have destroyed the others,
+    whose end stays as pythonfmu has it. The loader is not asked for anything: the host may be
+    waiting in it.
     """
-    if not _LOADED:
+    if not _WRAPPERS:
         return
     with contextlib.suppress(OSError):
-        mapped, stack = _mapped(), _stack()
-        for function, file in _LOADED.items():
-            parts = [part for part, name in mapped if name == file]
-            loaded = any(function in part for part in parts)
-            calling = any(address in part for part in parts for address in stack)
-            if loaded and (PYTHON_IS_THE_HOST or calling):
+        parts, stack = _code(), _stack()
+        for part, function in _WRAPPERS.items():
+            calling = any(address in part.addresses for address in stack)
+            if part in parts and (PYTHON_IS_THE_HOST or calling):
                 ctypes.CFUNCTYPE(None)(function)()
 
 
@@ -123,12 +122,13 @@ def _file_of(address: int) -> bytes | None:
     return place.file if found else None
 
 
-def _mapped() -> list[tuple[range, bytes]]:
-    """Addresses and name of each part of a file in this process."""
+def _code() -> set[_Part]:
+    """All code of files that this process has mapped."""
     with open("/proc/self/maps", "rb") as lines:
-        rows = [line.rstrip(b"\n").split(maxsplit=5) for line in lines]
-    parts = []
+        rows = [line.split(maxsplit=5) for line in lines if b" r-xp " in line]
+    parts = set()
     for addresses, *_, name in rows:
         first, end = addresses.split(b"-")
-        parts.append((range(int(first, 16), int(end, 16)), name.removesuffix(b" (deleted)")))
+        file = name.rstrip(b"\n").removesuffix(b" (deleted)")
+        parts.add(_Part(range(int(first, 16), int(end, 16)), file))
     return parts
