@@ -263,19 +263,21 @@ def test_a_thousand_instantiations(fmus: Path, model: str) -> None:
 # --- the end of a process -----------------------------------------------------------------------
 
 
-def _step_in_c(fmus: Path, folder: Path, model: str, leave: str) -> None:
-    """Step an FMU once in a C program that ends then; AssertionError where it does not end well."""
+@linux_host
+@pytest.mark.parametrize("leave", ["running", "freed", "unloaded", "freed_at_exit"])
+def test_c_program_ends_well(fmus: Path, tmp_path: Path, leave: str) -> None:
+    """It aborted in each way, "corrupted unsorted chunks", before we mended that."""
     shared = Path(sysconfig.get_config_var("LIBDIR"), sysconfig.get_config_var("INSTSONAME"))
     if not sysconfig.get_config_var("Py_ENABLE_SHARED") or not shared.exists():
         pytest.skip("sysconfig names no shared library of this Python")
-    host = str(folder / "python_host")
+    host = str(tmp_path / "python_host")
     headers = Path(fmpy.__file__).parent / "c-code"
     source = str(Path(__file__).with_name("python_host.c"))
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-D_POSIX_C_SOURCE=200809L"]
     subprocess.run([str(compiler), *flags, "-I", headers, source, "-o", host, "-ldl"], check=True)
-    fmu = str(fmus / f"{model}.fmu")
-    extracted = fmpy.extract(fmu, str(folder / model))
-    library = f"{extracted}/binaries/linux64/{model}.so"
+    fmu = str(fmus / "crane_lin.fmu")
+    extracted = fmpy.extract(fmu, str(tmp_path / "crane_lin"))
+    library = f"{extracted}/binaries/linux64/crane_lin.so"
     environment = {
         "LD_PRELOAD": str(shared),
         "PYTHONHOME": sys.base_prefix,
@@ -289,13 +291,6 @@ def _step_in_c(fmus: Path, folder: Path, model: str, leave: str) -> None:
         env=os.environ | environment,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
-
-
-@linux_host
-@pytest.mark.parametrize("leave", ["running", "freed", "unloaded", "freed_at_exit"])
-def test_c_program_ends_well(fmus: Path, tmp_path: Path, leave: str) -> None:
-    """It aborted in each way, "corrupted unsorted chunks", before we mended that."""
-    _step_in_c(fmus, tmp_path, "crane_lin", leave)
 
 
 def _extractions(fmu: str, count: int) -> int:
