@@ -32,6 +32,7 @@ __declspec(dllimport) unsigned long __stdcall WaitForSingleObject(void *thread, 
 #include <pthread.h>
 #endif
 
+#include "check.h"
 #include "fmi2Functions.h"
 #include "interface.h"
 #include "twins.h"
@@ -41,14 +42,6 @@ enum { THREADS = 8, MODELS = 2, STEPS = 800, SEEN = 3, LOG_SIZE = 1024 };
 static const double H = 0.005, SPEED = 0.8, STOP_AT = 1.0;
 static const fmi2ValueReference LOOK_AT[SEEN] = {VR_PAYLOAD_X_REL, VR_PAYLOAD_X,
                                                  VR_CHAIN_MID_X_REL};
-
-#define CHECK(condition)                                                                 \
-    do {                                                                                 \
-        if (!(condition)) {                                                              \
-            fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition);              \
-            exit(1);                                                                     \
-        }                                                                                \
-    } while (0)
 
 /* ---- an FMU ---- */
 

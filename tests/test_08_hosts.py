@@ -266,7 +266,7 @@ def test_a_thousand_instantiations(fmus: Path, model: str) -> None:
 @linux_host
 @pytest.mark.parametrize("leave", ["running", "freed", "unloaded", "freed_at_exit"])
 def test_c_program_ends_well(fmus: Path, tmp_path: Path, leave: str) -> None:
-    """It aborted in each way, "corrupted unsorted chunks", before we mended that."""
+    """In each way it could abort, "corrupted unsorted chunks", before we mended that."""
     shared = Path(sysconfig.get_config_var("LIBDIR"), sysconfig.get_config_var("INSTSONAME"))
     if not sysconfig.get_config_var("Py_ENABLE_SHARED") or not shared.exists():
         pytest.skip("sysconfig names no shared library of this Python")
@@ -313,7 +313,7 @@ def test_an_fmu_that_is_unloaded_is_not_kept(fmus: Path) -> None:
 @linux
 @pytest.mark.parametrize("free", [False, True], ids=["running", "freed"])
 def test_python_script_ends_without_touching_freed_memory(fmus: Path, free: bool) -> None:
-    """It rarely aborted, "corrupted double-linked list"; valgrind sees the cause in every run."""
+    """It rarely aborted, "corrupted double-linked list"; valgrind sees the cause each time."""
     valgrind = shutil.which("valgrind")
     if valgrind is None:
         pytest.skip("valgrind is not installed (Debian: valgrind)")
