@@ -266,8 +266,10 @@ class FmiSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             self._observe()
         values, seen, first = self._values, self._seen, self._first_output
         found = [values[vr] if vr < first else seen[vr - first] for vr in vrs]
-        if len(vrs) > 1 and self._real_outputs.issuperset(vrs) and len(self._picks) < MOST_PICKS:
-            self._picks[tuple(vrs)] = itemgetter(*(vr - first for vr in vrs))
+        if vrs and self._real_outputs.issuperset(vrs) and len(self._picks) < MOST_PICKS:
+            at = [vr - first for vr in vrs]  # of one place itemgetter would give no sequence
+            one = slice(at[0], at[0] + 1)
+            self._picks[tuple(vrs)] = itemgetter(*at) if len(at) > 1 else itemgetter(one)
         return found
 
     def _set(self, kind: str, vrs: list[int], values: list[Any]) -> None:
